@@ -439,6 +439,21 @@ typedef struct dal_stats {
                                    depends on time, the constraints are linear, and the scheme is
                                    not of order 1 */
     double jump, largest_kinetic;
+    double least_pivot;         /* of C = mu M^-1 mu^T, beside the largest that the pivot of its row
+                                   has been, as 1/(C^-1)_aa; 1: none was less.  Near 0 the
+                                   constraints lose rank there, and branches of the motion may
+                                   meet.  Looked at in every 64th step, at the end of
+                                   dal_integrate, where steps that choose their size become much
+                                   shorter, and where Newton's iteration had to start anew; not of
+                                   a system with a sparsity and masses */
+    double least_pivot_t;       /* when, and */
+    size_t least_pivot_rows;    /* the sum of 2^a over the rows a that have part in it, a < 52; 0:
+                                   they are not known */
+    size_t rank_doubts;         /* looks at which a pivot was below the tolerance (1e-9 for steps of
+                                   h), or below 1e-2 where Newton's iteration had to start anew */
+    double least_step;          /* of steps that choose their size: the shortest, beside the mean of
+                                   those before; 1 for others */
+    double least_step_t;        /* when */
 } dal_stats;
 
 /* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step the

@@ -128,6 +128,31 @@ void dal__linear_solve_transposed(const dal__linear *self, double *b, double *x)
 /* About the 1-norm of the inverse of the scaled matrix, of a pattern. */
 double dal__linear_inverse_norm(const dal__linear *self);
 
+/* ---- steps of a size of their own ------------------------------------------------------------ */
+
+/* How an integrator that chooses the size of its steps advances (creep.c); zero at a start. */
+typedef struct dal__creep {
+    double count, length;   /* steps, and the sum of their sizes */
+    double longest;
+    double shortest, t;     /* the shortest beside the mean of those before; 0: none is; when */
+    double mark;            /* the time `since` steps ago */
+    size_t since;
+} dal__creep;
+/* A step has led to t, and the next would have the size |h|. */
+void dal__creep_step(dal__creep *self, double t, double h);
+/* Before each step, from t: DAL_ENOCONV if the last 10^4 have led nowhere, beside the longest one and
+ * the span, that of the run or of the part of it that is known. */
+int dal__creep_check(dal__creep *self, double t, double span, dal_error *error);
+static inline double dal__creep_shortest(const dal__creep *self)
+{
+    return self->shortest > 0.0 ? self->shortest : 1.0;
+}
+/* Whether |h| is much less than the mean. */
+static inline bool dal__creep_is_short(const dal__creep *self, double h)
+{
+    return 2.0 * fabs(h) * self->count < self->length;
+}
+
 /* ---- Newton's iteration --------------------------------------------------------------------- */
 
 /* Where Newton's iteration stands. */

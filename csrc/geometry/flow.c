@@ -21,9 +21,6 @@ enum { PER_LOOK = 128 };
  * anew there, from short steps. */
 enum { PER_MEND = 24, PER_MEND_OF_MULTISTEP = 1024 };
 
-/* Accepted steps of one integration; far more than any sensible one takes. */
-enum { MOST_STEPS = 10000000 };
-
 struct dal_flow {
     bool in_xi;
     dal_chart chart;         /* but for its mechanics in xi only */
@@ -40,6 +37,8 @@ struct dal_flow {
     } steps;
     bool in_D;               /* the state is to stay there */
     size_t unmended;         /* inner steps since it was there to roundoff */
+    struct dal__guards *guards; /* of a stepper, or own */
+    struct dal__guards own;
     dal__watch watch;
     size_t unwatched;        /* numbers of the field since the clock was read */
     arena arena;
@@ -93,6 +92,7 @@ int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method meth
     status = dal__allocate(&shape.arena, error);
     if (status) return status;
     *self = shape;
+    self->guards = &self->own;
     if (self->in_xi) dal__chart_bind(&self->chart, system);
     else dal__mechanics_bind(&self->chart.mech, system);
     status = dal__ode_new(&self->integrator, N, method, tolerance, field, self, error);
@@ -145,6 +145,7 @@ static int begin(dal_flow *flow, double t0, double span, const double *x, double
     flow->t0 = t0;
     flow->in_D = in_D && flow->chart.mech.m > 0 && !flow->in_xi;
     flow->unmended = 0;
+    flow->own.creep = (dal__creep){0};
     return dal__ode_begin(flow->integrator, t0, span, flow->in_xi ? flow->chart.y : x, factor,
                           error_of(flow));
 }
@@ -182,19 +183,31 @@ static int mend(dal_flow *flow, double t, double end)
                               : dal__ode_renew(flow->integrator, error_of(flow));
 }
 
+/* After an inner step. */
+static int guard(dal_flow *flow)
+{
+    struct dal__guards *const guards = flow->guards;
+    const double t = flow->t0 + dal__ode_elapsed(flow->integrator);
+    const double h = dal__ode_suggested(flow->integrator);
+    dal__creep_step(&guards->creep, t, h);
+    if (guards == &flow->own || flow->in_xi || !dal__creep_is_short(&guards->creep, h))
+        return DAL_SUCCESS;
+    return dal__rank_look(&guards->rank, &flow->chart.mech, t, 0.0, guards->allowed,
+                          dal__ode_state(flow->integrator));
+}
+
 /* flow->state <- the state at elapsed time end, which is the time t1. */
 static int reach(dal_flow *flow, double end, double t1)
 {
     ode *const integrator = flow->integrator;
     dal_error *const error = error_of(flow);
     int status = DAL_SUCCESS;
-    for (size_t steps = 0; !status && dal__ode_elapsed(integrator) != end; steps++) {
-        if (steps == MOST_STEPS)
-            return dal__fail(error, DAL_ENOCONV, "%d steps did not lead beyond t = %.17g, the next "
-                             "of size h = %g (tolerance %g)", MOST_STEPS,
-                             flow->t0 + dal__ode_elapsed(integrator),
-                             dal__ode_suggested(integrator), flow->tolerance);
-        status = dal__ode_step(integrator, end, error);
+    while (!status && dal__ode_elapsed(integrator) != end) {
+        const double left = fabs(end - dal__ode_elapsed(integrator));
+        status = dal__creep_check(&flow->guards->creep, flow->t0 + dal__ode_elapsed(integrator),
+                                  left, error);
+        if (!status) status = dal__ode_step(integrator, end, error);
+        if (!status) status = guard(flow);
         if (status) break;
         const double elapsed = dal__ode_elapsed(integrator);
         if (flow->in_xi)
@@ -328,6 +341,8 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
 }
 
 /* Single steps. */
+
+void dal__flow_guard(dal_flow *flow, struct dal__guards *guards) { flow->guards = guards; }
 
 void dal__flow_forget(dal_flow *flow)
 {

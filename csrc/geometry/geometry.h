@@ -212,6 +212,31 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
                     size_t count, const double *x, const double *inputs, double *energy,
                     double *multipliers, double *residual, double *relative, size_t *done);
 
+/* How near C has come to losing its rank along a motion (rank.c).  The pivot of row a is 1/(C^-1)_aa,
+ * that of an elimination in which it comes last: the square of what constraint a has beside all
+ * others.  It is compared with the largest that it has been, so that the scale of a constraint, or
+ * constraints that are nearly dependent all the time, do not matter. */
+typedef struct dal__rank {
+    double *largest;        /* [m] pivots of each row */
+    double least, t;        /* the least beside its largest, 1 at a start; when */
+    size_t rows;            /* the sum of 2^a over those as small, for a < 52; 0: not known */
+    size_t doubts;          /* looks that found one below what is allowed */
+} dal__rank;
+void dal__rank_reserve(dal__rank *rank, size_t m, arena *a);
+void dal__rank_start(dal__rank *rank, size_t m);
+/* to <- from, but where its pivots are. */
+void dal__rank_copy(size_t m, const dal__rank *from, dal__rank *to);
+/* A look at the state x[2n], moved back by shift v.  least: what is allowed.  Not where C has a
+ * pattern.  Only DAL_EUSER; the text is in mech->error, and the statistics do not count it. */
+int dal__rank_look(dal__rank *rank, dal_mechanics *mech, double t, double shift, double least,
+                   const double *x);
+
+/* What a stepper keeps of its motion, for whoever makes its steps. */
+struct dal__guards {
+    dal__rank rank;
+    double allowed;         /* pivot: below it the errors of the steps may choose the branch */
+    dal__creep creep;
+};
 /* A chart of D, connection.c.  It may be part of another object, as a dal_mechanics may. */
 struct dal_chart {
     dal_mechanics mech;
@@ -278,6 +303,8 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
  * step depends on beside x; NULL for a multistep method. */
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst);
 void dal__flow_forget(dal_flow *flow);
+/* The guards of the stepper, instead of those of each call. */
+void dal__flow_guard(dal_flow *flow, struct dal__guards *guards);
 double *dal__flow_inner(dal_flow *flow);
 
 /* What a flow is made of; the error of its mechanics is its own. */

@@ -147,6 +147,17 @@ static void guess(beta *self, const dal_stage *s)
     for (size_t a = 0; a < k->m; a++) solver->lambda[a] = k->latest[a] / (k->latest_span * k->h);
 }
 
+/* Beside a stage that the simple iteration has not solved: where that is so because C nearly loses
+ * its rank the steps may follow either branch.  Those of controlled size look where they are short. */
+static int look_at_rank(const beta *self, double t, const double *x)
+{
+    const dal_kernel *const k = &self->kernel;
+    dal_motion *const motion = self->motion;
+    if (motion->estimate) return DAL_SUCCESS;
+    return dal__rank_look(&motion->guards->rank, motion->mechanics, t, k->shift * k->h,
+                          DAL__UNRESOLVED, x);
+}
+
 /* As finish of a dal_kernel: the stage by the full Newton iteration from the state before it; or
  * the velocity alone, into D at what is stored.  A pair is one step with V at the node. */
 static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
@@ -157,7 +168,7 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
     const double t_end = dal_kernel_time(k, number, s->t_end);
     const dal_arrays *const at = &k->at;
     double *const x = self->scratch, relative = 0.0;
-    int status;
+    int status = DAL_SUCCESS;
     if (solved) {
         memcpy(x, at->stored, size);
         memcpy(x + n, at->w, size);
@@ -168,11 +179,13 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
         const double beta = s->after / s->span, alpha = s->node != 0.0 ? 1.0 : beta;
         memcpy(x, at->x, 2 * size);
         k->stats.full_newtons++;
+        status = look_at_rank(self, dal_kernel_time(k, number, s->t_start), x);
         guess(self, s);
-        status = dal__newton_step(&self->newton, mech,
+        if (!status) status = dal__newton_step(&self->newton, mech,
                                   dal_kernel_time(k, number, s->t_start), t_end, alpha, beta,
                                   s->span * k->h, k->kept, x, at->kappa, &k->stats);
     }
+    if (!status && !solved) status = look_at_rank(self, t_end, x);
     if (!status && !dal__all_finite(n, at->base)) /* but what the same callbacks give now is */
         status = dal__fail(&mech->error, DAL_EDOMAIN, "a number is not finite; try a smaller h");
     if (status) return dal_kernel_fail(k, status, DAL_FAILED_FINISH);

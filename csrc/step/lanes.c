@@ -12,6 +12,7 @@ typedef struct member {
     dal_stats stats;
     size_t calls[4]; /* of its evaluator */
     dal__jump jump;
+    dal__rank rank;
 } member;
 
 struct dal__lanes {
@@ -22,6 +23,7 @@ struct dal__lanes {
     size_t n, m, width;
     size_t given, carried; /* vectors of a block */
     member *member;        /* [width] */
+    double *largest;       /* [width*m] of their ranks */
     arena arena;
 };
 
@@ -75,6 +77,7 @@ int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__reserve(&memory, &shape.stage, k->stages, sizeof *shape.stage);
     dal__reserve(&memory, &shape.member, width, sizeof *shape.member);
+    DAL__RESERVE(&memory, dal__times(m, width), &shape.largest);
     DAL__RESERVE(&memory, dal__times(shape.given, width), &shape.block.given);
     DAL__RESERVE(&memory, dal__times(shape.carried, width), &shape.block.carried);
     const int status = dal__allocate(&memory, error);
@@ -174,7 +177,8 @@ void dal__lanes_load(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
     *self = (member){.loaded = true, .stats = dal__beta_kernel(stepper)->stats,
                      .calls = {e->constraint_calls, e->potential_calls, e->lagrangian_calls,
                                e->force_calls},
-                     .jump = stepper->jump};
+                     .jump = stepper->jump, .rank.largest = lanes->largest + lane * lanes->m};
+    dal__rank_copy(lanes->m, &stepper->guards.rank, &self->rank);
     *carried(lanes, lane, DAL_LANES_GOING) = 1.0;
 }
 
@@ -237,6 +241,7 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     e->lagrangian_calls = self->calls[2];
     e->force_calls = self->calls[3];
     stepper->jump = self->jump;
+    dal__rank_copy(lanes->m, &self->rank, &stepper->guards.rank);
     stepper->started = true;
     k->t0 = motion->t0 = *given(lanes, lane, 0);
     k->h = motion->h = *given(lanes, lane, 1);

@@ -78,7 +78,7 @@ int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *err
     pace->noise = noise * ROUNDOFF * DAL_ROUNDOFF;
     DAL__RESERVE(&self->vary.arena, 2 * self->mech.n, &pace->estimate, &pace->field);
     dal__place_reserve(self, &pace->after, &self->vary.arena);
-    pace->tolerance = tolerance;
+    pace->tolerance = self->guards.allowed = tolerance;
     pace->allowed = PART * pow(tolerance, (pace->order + 1.0) / pace->order);
     pace->h_max = h_max > 0.0 ? h_max : (double)INFINITY;
     return dal__vary_make(self, error);

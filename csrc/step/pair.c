@@ -91,14 +91,25 @@ static void start(void *method, dal_motion *motion)
     dal__newton_forget(&((pair_steps *)method)->newton);
 }
 
+/* The same by the full Newton iteration; where it had to start anew C may nearly lose its rank. */
+static int full_step(pair_steps *self, dal_motion *motion, double t, double end)
+{
+    dal_mechanics *const mech = motion->mechanics;
+    const size_t anew = motion->stats->full_newtons;
+    int status = dal__newton_step(&self->newton, mech, t, end, self->alpha, self->beta, motion->h,
+                                  false, self->x, self->kappa, motion->stats);
+    if (status || motion->stats->full_newtons == anew) return status;
+    status = dal__rank_look(&motion->guards->rank, mech, t, 0.0, DAL__UNRESOLVED, motion->x);
+    if (status) return status;
+    return dal__rank_look(&motion->guards->rank, mech, end, 0.0, DAL__UNRESOLVED, self->x);
+}
+
 /* One step from self->x, in place. */
 static int step(pair_steps *self, dal_motion *motion, double number)
 {
     const double h = motion->h, t = motion->t0 + number * h, end = motion->t0 + (number + 1.0) * h;
     const size_t m = dal_system_m(motion->system);
-    if (!self->discrete)
-        return dal__newton_step(&self->newton, motion->mechanics, t, end, self->alpha, self->beta,
-                                h, false, self->x, self->kappa, motion->stats);
+    if (!self->discrete) return full_step(self, motion, t, end);
     const int status = dal__discrete_advance(self->discrete, t, h, self->x, self->kappa,
                                              &motion->stats->worst_residual);
     if (status) *motion->error = *dal__discrete_error(self->discrete);

@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 6, OF = 8, FIELDS = 42, HEAD = OF + FIELDS };
+enum { VERSION = 7, OF = 8, FIELDS = 53, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -23,6 +23,8 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
     evaluator *const e = &self->mech.eval;
     dal_stats *const stats = motion->stats;
     dal__jump *const jump = &self->jump;
+    dal__rank *const rank = &self->guards.rank;
+    dal__creep *const creep = &self->guards.creep;
     const field list[FIELDS] = {
         {.real = &motion->t0}, {.real = &motion->h}, {.counter = &motion->steps},
         {.flag = &jump->looking}, {.real = &jump->shift}, {.energy = &jump->energy},
@@ -38,6 +40,10 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.counter = &stats->scaled}, {.counter = &stats->unscaled}, {.counter = &stats->resets},
         {.energy = &self->scaling.energy}, {.energy = &jump->undone},
         {.counter = &stats->rejected}, {.counter = &stats->uncontrolled},
+        {.real = &rank->least}, {.real = &rank->t}, {.counter = &rank->rows},
+        {.counter = &rank->doubts}, {.real = &creep->count}, {.real = &creep->length},
+        {.real = &creep->longest}, {.real = &creep->shortest}, {.real = &creep->t},
+        {.real = &creep->mark}, {.counter = &creep->since},
         {.real = &self->reversible.rho},
         {.real = &self->reversible.part}, {.real = &self->reversible.floor},
         {.real = &self->reversible.speed}, {.flag = &self->reversible.by_jerk},
@@ -84,7 +90,7 @@ static size_t kept_by_family(const dal_stepper *self)
 
 static size_t before_family(const dal_stepper *self)
 {
-    return HEAD + 2 * self->mech.n + self->motion.system->def.inputs;
+    return HEAD + 2 * self->mech.n + self->motion.system->def.inputs + self->mech.m;
 }
 
 size_t dal_stepper_saved(const dal_stepper *stepper)
@@ -105,13 +111,13 @@ static int check_resumable(dal_stepper *self, const double *values)
 int dal_stepper_save(dal_stepper *stepper, double *values)
 {
     if (!stepper) return DAL_EINVAL;
-    const size_t n = stepper->mech.n, N = 2 * n;
+    const size_t n = stepper->mech.n, m = stepper->mech.m, N = 2 * n;
     double *const of_family = values + before_family(stepper);
     int status = check_resumable(stepper, values);
     if (!status) status = dal__stepper_started(stepper);
     if (status) return status;
     field fields[FIELDS];
-    const double of[OF] = {VERSION, (double)n, (double)stepper->mech.m, stepper->identity,
+    const double of[OF] = {VERSION, (double)n, (double)m, stepper->identity,
                            stepper->pace.tolerance, longest(stepper),
                            stepper->scaling.wanted, stepper->reversible.eps};
     list_fields(stepper, fields);
@@ -119,6 +125,7 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
     for (size_t i = 0; i < FIELDS; i++) values[OF + i] = read(&fields[i]);
     memcpy(values + HEAD, stepper->motion.x, N * sizeof *values);
     dal__copy(stepper->motion.system->def.inputs, stepper->motion.input, values + HEAD + N);
+    dal__copy(m, stepper->guards.rank.largest, of_family - m);
     if (stepper->family->save) stepper->family->save(stepper->method, of_family);
     return DAL_SUCCESS;
 }
@@ -195,6 +202,8 @@ int dal_stepper_restore(dal_stepper *stepper, const double *values, size_t count
     stepper->motion.stats->steps = stepper->motion.steps; /* by which the step routine counts */
     memcpy(stepper->motion.x, values + HEAD, N * sizeof *values);
     dal_stepper_input(stepper, values + HEAD + N);
+    dal__copy(stepper->mech.m, values + before_family(stepper) - stepper->mech.m,
+              stepper->guards.rank.largest);
     if (stepper->family->start) stepper->family->start(stepper->method, &stepper->motion);
     if (stepper->family->restore)
         stepper->family->restore(stepper->method, values + before_family(stepper));

@@ -49,6 +49,10 @@ void dal__newton_restore(newton *solver, const double *values);
 int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double alpha,
                      double beta, double h, bool kept, double *x, double *kappa, dal_stats *stats);
 
+/* A pivot of C beside which a stage that needs the full Newton iteration is one of steps too long to
+ * see how the constraints turn there: see dal__rank. */
+#define DAL__UNRESOLVED 1e-2
+
 /* Whether the energy jumps (jump.c): looked at now and then, never where something does work or
  * depends on time, or by schemes of order 1, which drift by design. */
 typedef struct dal__jump {
@@ -156,6 +160,7 @@ struct dal_stepper {
     dal_stats stats;
     double *fresh;         /* [2n] initial data being examined */
     dal__jump jump;
+    struct dal__guards guards;
     dal__vary vary;
     dal__pace pace;
     dal__scaling scaling;

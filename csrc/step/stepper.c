@@ -5,6 +5,9 @@
 #include <math.h>
 #include <string.h>
 
+/* A pivot of C that steps of h may come to, see rank.c; others know their tolerance. */
+#define ALLOWED 1e-9
+
 /* *stepper <- one that knows what it steps, and has no method yet. */
 static int allocate(dal_stepper **stepper, const dal_system *system, const dal_scheme *scheme,
                     const dal_options *options, dal_error *error)
@@ -16,6 +19,7 @@ static int allocate(dal_stepper **stepper, const dal_system *system, const dal_s
     dal__mechanics_reserve(&shape.mech, system, &memory);
     DAL__RESERVE(&memory, dal__times(2, n), &shape.motion.x, &shape.fresh);
     DAL__RESERVE(&memory, system->def.m, &shape.motion.impulse);
+    dal__rank_reserve(&shape.guards.rank, system->def.m, &memory);
     const int status = dal__allocate(&memory, error);
     if (status) return status;
     /* the slots that the arena has filled are those of shape */
@@ -30,6 +34,8 @@ static int allocate(dal_stepper **stepper, const dal_system *system, const dal_s
     motion->max_iterations = options && options->max_iterations ? options->max_iterations : 50;
     motion->stats = &self->stats;
     motion->error = &self->mech.error;
+    motion->guards = &self->guards;
+    self->guards.allowed = ALLOWED;
     *stepper = self;
     return DAL_SUCCESS;
 }
@@ -107,6 +113,13 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->jump_step = stepper->jump.step;
     stats->jump = stepper->jump.change;
     stats->largest_kinetic = stepper->jump.kinetic;
+    const struct dal__guards *const guards = &stepper->guards;
+    stats->least_pivot = guards->rank.least;
+    stats->least_pivot_t = guards->rank.t;
+    stats->least_pivot_rows = guards->rank.rows;
+    stats->rank_doubts = guards->rank.doubts;
+    stats->least_step = dal__creep_shortest(&guards->creep);
+    stats->least_step_t = guards->creep.t;
 }
 
 int dal_stepper_input(dal_stepper *stepper, const double *u)
@@ -250,6 +263,16 @@ static int move_node(dal_stepper *self, double shift, double *x)
     return dal__fail(&self->mech.error, DAL_EDOMAIN, "q + %g v overflows", shift);
 }
 
+/* Whether C nearly loses its rank where the stepper is. */
+static int look_at_rank(dal_stepper *self)
+{
+    const int status = dal__rank_look(&self->guards.rank, &self->mech, dal_stepper_time(self),
+                                      self->shift * self->motion.h, self->guards.allowed,
+                                      self->motion.x);
+    if (status) self->error = self->mech.error;
+    return status;
+}
+
 int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
                       dal_consistency consistency, dal_initial initial)
 {
@@ -298,11 +321,13 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     self->vary.until = h > 0.0 ? (double)INFINITY : -(double)INFINITY;
     *motion->stats = stats;
     self->jump = jump;
+    dal__rank_start(&self->guards.rank, self->mech.m);
+    self->guards.creep = (dal__creep){0};
     self->scaling.energy = kept;
     self->started = true;
     dal__fail(&self->error, DAL_SUCCESS, "%s", "");
     if (self->family->start) self->family->start(self->method, motion);
-    return DAL_SUCCESS;
+    return look_at_rank(self);
 }
 
 /* ---- steps ------------------------------------------------------------------------------ */
@@ -312,7 +337,7 @@ int dal__stepper_look(dal_stepper *stepper)
     const int status = dal__jump_look(&stepper->jump, &stepper->mech, stepper->motion.steps,
                                       stepper->motion.x);
     if (status) stepper->error = stepper->mech.error;
-    return status;
+    return status ? status : look_at_rank(stepper);
 }
 
 int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
@@ -342,6 +367,23 @@ int dal__stepper_started(dal_stepper *stepper)
     return dal__fail(&stepper->error, DAL_EINVAL, "the stepper was not started");
 }
 
+/* A step that chooses its size. */
+static int choose_step(dal_stepper *self)
+{
+    dal_motion *const motion = &self->motion;
+    dal__creep *const creep = &self->guards.creep;
+    const bool paced = self->pace.q > 0;
+    const double t = dal_stepper_time(self);
+    int status = dal__creep_check(creep, t, fabs(self->vary.until - t), motion->error);
+    if (!status) status = paced ? dal__pace_step(self) : dal__reversible_step(self);
+    if (status) return status;
+    const double h = paced ? self->pace.h : motion->h;
+    dal__creep_step(creep, motion->t0 + motion->h, h);
+    if (!dal__creep_is_short(creep, h)) return DAL_SUCCESS;
+    return dal__rank_look(&self->guards.rank, &self->mech, motion->t0 + motion->h, 0.0,
+                          self->guards.allowed, motion->x);
+}
+
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
 {
     enum { BETWEEN_LOOKS = 64 };
@@ -354,7 +396,7 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
         int status;
         if (self->vary.on) {
             if (dal_stepper_time(self) == self->vary.until) return DAL_SUCCESS;
-            status = self->pace.q > 0 ? dal__pace_step(self) : dal__reversible_step(self);
+            status = choose_step(self);
             done = !status;
         } else if (self->scaling.wanted) {
             status = dal__scaling_step(self);

@@ -23,6 +23,7 @@ typedef struct dal_motion {
     double *impulse;           /* [m] h lambda of every step is added */
     double *estimate;          /* [2n] of error-controlled steps, one at a time; else NULL */
     dal_stats *stats;
+    struct dal__guards *guards; /* the library's own */
     dal_watch_fn watch;        /* or NULL: asked by steps that may take long, with the time */
     void *watch_ctx;
     dal_error *error;          /* what went wrong in the last step, without its number: what

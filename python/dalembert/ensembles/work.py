@@ -17,7 +17,7 @@ from ..core.errors import raised
 from ..run import Solution, integrate
 from ..run import events
 from ..run.events import CONSISTENCY
-from ..run.integration import doubts, quietly
+from ..run.integration import SHORT, doubts, quietly
 from ..run.laws import values
 from ..run.runs import OFF_D
 from ..run.scheme import INITIAL
@@ -294,6 +294,8 @@ def _doubt(
         (stats["jump_step"] > 0)
         | (stats["unscaled"] > 0)
         | (stats["full_newtons"] * 10 > stats["substeps"])
+        | (stats["rank_doubts"] > 0)
+        | (stats["least_step"] < SHORT)
         | (stats["worst_residual"] > core.residual_bound(system.n))
     )
     made["doubtful"] = doubts_of > 0

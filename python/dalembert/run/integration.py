@@ -34,7 +34,7 @@ from .journal import Journal, describe
 from .laws import take_inputs
 from .runs import Run, idle_steppers, started_stepper
 from .scheme import Scheme
-from .solution import Solution
+from .solution import Solution, rank_doubt
 from .steps import Steps, options_of
 from .taylor import SeriesRun, require_supported
 
@@ -465,6 +465,9 @@ def _at(solution: Any) -> str:
     return f" (t = {t:g}, h = {solution.h:g})"
 
 
+SHORT = 1e-6  # steps, relative to the usual ones, which nearly singular motions take
+
+
 def doubts(solution: Any) -> Iterator[str]:
     """Yield why a run that went through is doubtful, as far as its statistics tell."""
     system, stats = solution.system, vars(solution).get("_counts") or solution.stats
@@ -500,4 +503,13 @@ def doubts(solution: Any) -> Iterator[str]:
             f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
             "as the simpler one did not converge: the steps are long for this system "
             f"({solution._how}), or its constraints are nearly dependent"
+        )
+    if stats.rank_doubts:
+        yield rank_doubt(stats)
+    elif stats.least_step < SHORT:
+        yield (
+            f"at t = {stats.least_step_t:g} the steps shrank to {stats.least_step:.1e} of their "
+            "usual size: the motion is nearly singular there, as in a collision, and amplifies "
+            "errors; compare runs with other tolerances"
+            + (f" (least pivot of mu M^-1 mu^T: {stats.least_pivot:.1e})" if system.m else "")
         )

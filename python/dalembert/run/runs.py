@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import core, geometry
+from .. import core, geometry, symbolic
 from ..core import Array, arguments, ffi, lib
 from ..core.errors import raised
 from ..core.extras import Show
@@ -17,7 +17,7 @@ from ..system import System
 from .laws import Law, is_control
 from .scheme import Scheme
 from .events import Watch, split
-from .solution import Solution, counts_of
+from .solution import Solution, Statistics, counts_of, rank_doubt
 from .steps import Steps
 
 OFF_D = "; consistent='project' would project v0"
@@ -27,7 +27,6 @@ PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough t
 
 
 _KINDS, _SIZE = 16, 64  # of steppers that are kept: kinds of a system, and its n + m
-_NOBODY = ffi.new_handle(core.ignore)  # whom steps that take long let see Ctrl-C
 
 
 def idle_steppers(system: System, scheme: Scheme, options: Any) -> list[Any]:
@@ -110,7 +109,8 @@ class Run:
             run.until, run.held = steps.t_end, steps.direction * hold
         else:
             run.hold = int(hold)
-        run.watch, run.watch_ctx = lib.dal_py_watch, _NOBODY
+        self.watching = ffi.new_handle(_within(show, steps))
+        run.watch, run.watch_ctx = lib.dal_py_watch, self.watching
         rows = _FIRST_ROWS if self.varies else steps.count // stride + 1
         self._allocate(1 if self.timed else rows)
         ffi.memmove(self.x, lib.dal_stepper_state(stepper), 16 * system.n)
@@ -201,7 +201,23 @@ class Run:
             message = core.words(self.stepper, self.system.kind)
             message += RESET_OFF_D if self.status == lib.DAL_EOFFD else ""
             t = lib.dal_stepper_time(self.stepper)
+            if self.status == lib.DAL_ENOCONV:
+                message += self._suspects(t)
             self.error = core.failure(self.status, message, step=int(run.done), t=t)
+
+    def _suspects(self, t: float) -> str:
+        """Return what may keep steps from t on from converging: where C is singular, or jumps."""
+        system, found = self.system, ""
+        stats = Statistics._of(counts_of(self.stepper), system.kind)
+        if stats.rank_doubts:
+            found += "; " + rank_doubt(stats)
+        if system._model is not None:
+            x = core.doubles(lib.dal_stepper_state(self.stepper), 2 * system.n)
+            u = core.doubles(lib.dal_stepper_inputs(self.stepper), len(system.inputs))
+            near = not self.scheme.is_reference  # whose state is that before its steps
+            terms = symbolic.jumps.jumps(system._model, system.parameters, t, x, u, near)
+            found += f"; terms that jump{' here' * near}: {', '.join(terms)}" if terms else ""
+        return found
 
     @property
     def is_over(self) -> bool:
@@ -271,6 +287,13 @@ class Run:
             hold=self.hold, control=self.steps.control, message=message,
             _counts=counts_of(self.stepper), **happened,
         )  # fmt: skip
+
+
+def _within(show: Show, steps: Steps) -> Callable[[float], None]:
+    """Return what shows how far a step that takes long has come, and lets Ctrl-C be seen."""
+    if steps.varies:
+        return lambda t: show(abs(t - steps.t0))
+    return lambda t: show(min((t - steps.t0) / steps.h, steps.count))
 
 
 def _end(x: Array, n: int, shift: float) -> Array:

@@ -59,6 +59,18 @@ class Statistics:
         half of the largest kinetic energy; 0 if it was not. What scaled velocities have undone
         counts as a change. Looked at in every 64th step and at
         the end, where nothing does work and the scheme is not of order 1.
+    least_pivot, least_pivot_t : float
+        Least pivot of C = mu M^-1 mu^T, relative to the largest pivot of the same row so far, and
+        its time. 1 if no pivot became smaller. A pivot near 0 means that the constraints lose
+        rank there, as at the dead centre of a linkage.
+    least_pivot_rows : tuple of int
+        The constraints that it belongs to, by number; empty if they are not known.
+    rank_doubts : int
+        How often a pivot was so small that the errors of the steps may choose the branch that the
+        motion follows.
+    least_step, least_step_t : float
+        Shortest step of steps that choose their size, relative to the mean of the steps before it,
+        and its time. 1 for steps of one size.
     """
 
     steps: int = 0
@@ -84,13 +96,22 @@ class Statistics:
     unscaled: int = 0
     resets: int = 0
     uncontrolled: int = 0
+    least_pivot: float = 1.0
+    least_pivot_t: float = 0.0
+    least_pivot_rows: tuple[int, ...] = ()
+    rank_doubts: int = 0
+    least_step: float = 1.0
+    least_step_t: float = 0.0
 
     @classmethod
     def _of(cls, counts: Any, kind: str) -> Statistics:
         """Return the statistics of a ``dal_stats``."""
         differenced = functions.differenced(counts.differenced, kind) if counts.differenced else ()
         self = cls.__new__(cls)  # whose __init__ takes as long again
-        self.__dict__.update(core.members(counts), differenced=differenced)
+        rows = _rows_of(counts.least_pivot_rows)
+        self.__dict__.update(
+            core.members(counts), differenced=differenced, least_pivot_rows=rows
+        )  # fmt: skip
         return self
 
 
@@ -99,6 +120,22 @@ def counts_of(stepper: Any) -> Any:
     counts = ffi.new("dal_stats *")
     lib.dal_stepper_stats(stepper, counts)
     return counts
+
+
+def _rows_of(given: Any) -> tuple[int, ...]:
+    """Return the rows that C gives as the sum of their powers of 2."""
+    return given if isinstance(given, tuple) else tuple(a for a in range(52) if int(given) >> a & 1)
+
+
+def rank_doubt(stats: Any) -> str:
+    """Return where the constraints nearly lose rank, in words."""
+    rows = " and ".join(f"constraints[{a}]" for a in _rows_of(stats.least_pivot_rows)) or "the constraints"
+    return (
+        f"near t = {stats.least_pivot_t:g} {rows} nearly lost rank: the least pivot of mu M^-1 "
+        f"mu^T was {stats.least_pivot:.1e} of its usual size. If branches of the motion meet "
+        "there, as at a dead centre, the errors of the steps decide which one is followed: compare "
+        "runs with other steps or tolerances"
+    )
 
 
 class _Counted:

@@ -8,7 +8,7 @@
 #include "dalembert/family.h"
 #include "step/step.h"
 
-enum { MOST_2N = 16, MOST_SAVED = 200 };
+enum { MOST_2N = 16, MOST_SAVED = 220 };
 
 static const dal_options keep = {.keep_energy = 1};
 

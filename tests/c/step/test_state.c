@@ -10,7 +10,7 @@
 
 #include <unistd.h>
 
-enum { MOST_SAVED = 180, MOST_M = 4, MOST_2N = 16, LEGS = 20 };
+enum { MOST_SAVED = 200, MOST_M = 4, MOST_2N = 16, LEGS = 20 };
 
 /* ---- what is stepped ------------------------------------------------------------------------ */
 
@@ -335,15 +335,16 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 /* What stands where among the saved numbers; x follows the head. */
 enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, KEEPS, EPS, T0, H, TAKEN,
        LOOKING, SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 22,
-       FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, UNCONTROLLED, BY_JERK = 44, BEGUN, SEEN,
-       SHARE, NEXT_H, LAST_ERROR, HEAD };
+       FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, UNCONTROLLED, RANK_ROWS = 42, RANK_DOUBTS,
+       SINCE = 50, BY_JERK = 55, BEGUN, SEEN, SHARE, NEXT_H, LAST_ERROR, HEAD };
 
 /* Whether nothing but a refusal will do; the words are those that it has to have. */
 static bool is_hopeless(size_t i, double spoil, char words[32])
 {
     const bool energy = (ENERGY <= i && i <= JUMP && i != JUMP_STEP) || i == KEPT || i == UNDONE;
     const bool counter = i == TAKEN || i == JUMP_STEP || (FIRST_COUNT <= i && i <= LAST_COUNT)
-                      || (FIRST_CALLS <= i && i <= UNCONTROLLED && !energy) || i == BEGUN;
+                      || (FIRST_CALLS <= i && i <= UNCONTROLLED && !energy) || i == BEGUN
+                      || i == RANK_ROWS || i == RANK_DOUBTS || i == SINCE;
     snprintf(words, 32, "values[%zu]", i);
     if (i == SAVED_VERSION) return true;
     if (i <= IDENTITY) {

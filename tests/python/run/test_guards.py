@@ -1,0 +1,160 @@
+"""What a run says of itself: where constraints lose rank, where it no longer advances."""
+
+import signal
+import time
+import warnings
+
+import numpy as np
+import pytest
+import sympy
+
+import dalembert as dal
+
+AUTO = {"h": "auto"}
+
+
+A, B = np.array([-np.sin(1), np.cos(1)]), np.array([-np.sin(2), np.cos(2)])
+AHEAD = np.array([A[1], -A[0]])
+x, y = dal.coordinates("x y")
+
+# Two lines through 0, g = (A.q) (B.q) = 0, by dg/dt = 0: a point on the first, which has the
+# direction AHEAD, goes straight on through 0 with its speed, and there mu is 0.
+_a, _b = A[0] * x + A[1] * y, B[0] * x + B[1] * y
+CROSSING = dal.System.from_sympy(
+    (x.d**2 + y.d**2) / 2, [sum((_a * _b).diff(z) * z.d for z in (x, y))], [x, y]
+)
+
+
+def run_of(system, *start, **how):
+    """A run, and the texts of its warnings."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        run = dal.integrate(system, *start, throw=False, **how)
+    return run, [str(warning.message) for warning in said]
+
+
+@pytest.mark.parametrize("scheme, how", [
+    (None, AUTO), ("bm6", AUTO | {"tolerance": 1e-6}), ("reference", {"h": 0.1}),
+    ("midpoint", {"h": 0.1}), ("pair:0.5:0.5", {"h": 0.1}),
+])  # fmt: skip
+def test_a_dead_centre_is_passed_warned_of_or_refused(scheme, how):
+    for x0 in (-0.53, -0.71, -0.97):
+        run, said = run_of(CROSSING, scheme, x0 * AHEAD, AHEAD, t_end=2, **how)
+        if not run.success:
+            continue
+        assert any("constraints[0] nearly lost rank" in text for text in said)
+        assert run.stats.least_pivot < 1e-6 and run.stats.least_pivot_rows == (0,)
+        assert abs(run.stats.least_pivot_t + x0) < 1e-3  # it comes to 0 at t = -x0
+
+
+def test_a_motion_beside_a_dead_centre_is_not_doubted():
+    # a hyperbola g = 1e-4, whose vertex is 1e-2 from 0; the pivot there is about 1e-4
+    w = 1e-4 / (0.7 * B @ AHEAD)
+    q0 = 0.7 * AHEAD + w * A
+    slope = (B @ q0) * A + (A @ q0) * B
+    v0 = np.array([slope[1], -slope[0]]) / np.hypot(*slope)
+    v0 *= -np.sign(v0 @ q0)
+    run, said = run_of(CROSSING, None, q0, v0, t_end=1.5, **AUTO)
+    assert run.success and not said
+    assert abs((A @ run.q[-1]) * (B @ run.q[-1]) - (A @ q0) * (B @ q0)) < 1e-8
+    assert np.hypot(*run.q[-1]) > 0.5  # it is beyond
+    assert 1e-5 < run.stats.least_pivot < 1e-2 and run.stats.rank_doubts == 0
+
+
+def test_constraints_that_are_nearly_dependent_all_the_time_are_not_doubted():
+    def forms(q):
+        s, c = np.sin(q[0]), np.cos(q[0])
+        return [[0, s, -c, 0], [0, 1e4 * s, -1e4 * c, 1e-1]]  # 1e-5 from the same direction
+
+    system = dal.System(mass=[1, 1, 1, 1], forms=forms)
+    for scheme, how in (("leapfrog", {"h": 0.1}), (None, AUTO)):
+        run, said = run_of(system, scheme, [0] * 4, [1, 1, 0, 0], t_end=10, **how)
+        assert run.success and not said
+        assert run.stats.least_pivot > 0.1
+
+
+def test_the_least_pivot_survives_a_journal_and_a_saved_stepper(tmp_path):
+    system, ahead = CROSSING, AHEAD
+    path = tmp_path / "run.dal"
+    half, _ = run_of(system, None, -0.5 * ahead, ahead, t_end=0.8, journal=path, **AUTO)
+    whole, _ = run_of(system, None, -0.5 * ahead, ahead, t_end=1, **AUTO)
+    with pytest.warns(dal.DalembertWarning, match="nearly lost rank"):
+        longer = dal.resume(path, system, t_end=1)
+    assert longer.stats.least_pivot == half.stats.least_pivot == whole.stats.least_pivot < 1e-9
+    assert longer.stats.least_step == whole.stats.least_step < 1e-3
+    assert longer.stats.least_pivot_rows == (0,)
+
+    first = dal.Stepper(system, "explicit", -0.5 * ahead, ahead, h=1 / 256)
+    first.step(steps=128)  # to 0, where the 64th and the 128th step are looked at
+    second = dal.Stepper(system, "explicit", -0.5 * ahead, ahead, h=1 / 256)
+    second.restore(first.save())
+    assert second.stats == first.stats
+    assert first.stats.least_pivot < 1e-20 and first.stats.least_pivot_t == 0.5
+    second.step(steps=64)
+    assert second.stats.least_pivot == first.stats.least_pivot
+
+
+def test_members_of_an_ensemble_know_their_least_pivot():
+    starts = np.array([-0.5, 1.0])[:, None] * AHEAD
+    found = dal.ensemble(CROSSING, "explicit", q0=starts, v0=AHEAD, h=1 / 256, t_end=0.5)
+    assert found.doubtful.tolist() == [True, False]
+
+
+def test_a_collision_is_said():
+    # x'' = -1/x^2 in a plane with angular momentum l: the pericentre is l^2/2 = 5e-7
+    system = dal.System.from_sympy((x.d**2 + y.d**2) / 2 + (x**2 + y**2) ** sympy.Rational(-1, 2))
+    run, said = run_of(system, None, [1, 0], [0, 1e-3], t_end=1.2, **AUTO)
+    assert any("the steps shrank to" in x for x in said)
+    t = np.pi / 2**1.5  # half a period of the fall from rest at 1
+    assert run.stats.least_step < 1e-6 and abs(run.stats.least_step_t - t) < 1e-4
+
+
+BELT = dal.System.from_sympy(
+    x.d**2 / 2 - x**2 / 2, force={x: 5 * sympy.sign(1 - x.d)}, q0=[0], v0=[0], name="belt"
+)
+STICKS = np.arcsin(0.2)  # x'' = 5 - x from rest: x' = 5 sin t is 1
+
+
+@pytest.mark.parametrize("scheme, how", [
+    (None, AUTO), ("bm6", AUTO), ("reference", {"h": 0.5}),
+    ("reference", {"h": 0.5, "method": "rodas"}), ("reference", {"h": 3.0, "method": "msadams"}),
+])  # fmt: skip
+def test_a_run_that_no_longer_advances_ends(scheme, how):
+    began = time.perf_counter()
+    with pytest.raises(dal.ConvergenceError, match=r"sign\(1 - x.d\) in the force on x") as info:
+        dal.integrate(BELT, scheme, t_end=3, **how)
+    assert time.perf_counter() - began < 20
+    error = info.value
+    text = str(error)
+    assert "tanh(v/eps) for sign(v)" in text and "terminal event" in text
+    where = float(text.split("to t = ")[1].split(",")[0])
+    assert abs(where - STICKS) < 1e-3
+    assert error.partial.t[-1] == error.t <= where
+    assert len(error.partial.t) < 25000
+
+
+def test_many_short_steps_that_advance_are_not_stopped():
+    # the spring is at rest for a while, in steps of 0.1 and more, and then has 1e4 times shorter ones
+    system = dal.System.from_sympy(
+        x.d**2 / 2 - 5e8 * x**2, force={x: sympy.Symbol("u") * 1e8}, inputs="u", name="spring"
+    )
+    run, said = run_of(
+        system, "bm6", [0], [0], t_end=2.2, inputs=[[0.0], [1.0]], hold=2.0, **AUTO
+    )
+    assert run.success and not said and run.stats.steps > 2e4
+
+
+def test_progress_and_interrupts_within_an_interval():
+    shown = []
+
+    def show(done, total):
+        shown.append(done)
+        if len(shown) == 4:
+            signal.raise_signal(signal.SIGINT)
+
+    system = dal.systems.chaotic()
+    began = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        dal.integrate(system, "reference", h=1e6, t_end=1e6, progress=show)
+    assert time.perf_counter() - began < 2
+    assert 0 <= shown[0] < shown[3] < 1  # of the only step
