@@ -442,15 +442,14 @@ typedef struct dal_stats {
     double least_pivot;         /* of C = mu M^-1 mu^T, beside the largest that the pivot of its row
                                    has been, as 1/(C^-1)_aa; 1: none was less.  Near 0 the
                                    constraints lose rank there, and branches of the motion may
-                                   meet.  Looked at in every 64th step, at the end of
-                                   dal_integrate, where steps that choose their size become much
-                                   shorter, and where Newton's iteration had to start anew; not of
-                                   a system with a sparsity and masses */
+                                   meet.  Looked at where steps that choose their size
+                                   are much shorter than usual, and where steps of h take the full
+                                   Newton iteration; not of a system with a sparsity and masses */
     double least_pivot_t;       /* when, and */
     size_t least_pivot_rows;    /* the sum of 2^a over the rows a that have part in it, a < 52; 0:
                                    they are not known */
-    size_t rank_doubts;         /* looks at which a pivot was below the tolerance (1e-9 for steps of
-                                   h), or below 1e-2 where Newton's iteration had to start anew */
+    size_t rank_doubts;         /* looks at which a pivot was below the tolerance (ten times that of
+                                   "reference"), or for steps of h below 1e-2 */
     double least_step;          /* of steps that choose their size: the shortest, beside the mean of
                                    those before; 1 for others */
     double least_step_t;        /* when */

@@ -217,17 +217,19 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
  * others.  It is compared with the largest that it has been, so that the scale of a constraint, or
  * constraints that are nearly dependent all the time, do not matter. */
 typedef struct dal__rank {
-    double *largest;        /* [m] pivots of each row */
+    double *largest, *found; /* [m] pivots of each row so far; those of the last look, or 0 */
     double least, t;        /* the least beside its largest, 1 at a start; when */
     size_t rows;            /* the sum of 2^a over those as small, for a < 52; 0: not known */
     size_t doubts;          /* looks that found one below what is allowed */
 } dal__rank;
 void dal__rank_reserve(dal__rank *rank, size_t m, arena *a);
+/* found <- the pivots by the forms and the metric as they are; then they may be those of a start. */
+void dal__rank_find(dal__rank *rank, dal_mechanics *mech);
 void dal__rank_start(dal__rank *rank, size_t m);
 /* to <- from, but where its pivots are. */
 void dal__rank_copy(size_t m, const dal__rank *from, dal__rank *to);
-/* A look at the state x[2n], moved back by shift v.  least: what is allowed.  Not where C has a
- * pattern.  Only DAL_EUSER; the text is in mech->error, and the statistics do not count it. */
+/* A look at the state x[2n], moved back by shift v, for pivots below what is allowed.  Not where C has a
+ * pattern.  Only DAL_EUSER; the text is in mech->error. */
 int dal__rank_look(dal__rank *rank, dal_mechanics *mech, double t, double shift, double least,
                    const double *x);
 

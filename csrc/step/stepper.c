@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-/* A pivot of C that steps of h may come to, see rank.c; others know their tolerance. */
+/* Pivot of C that reversible steps, which have no tolerance, may come to: see dal__guards. */
 #define ALLOWED 1e-9
 
 /* *stepper <- one that knows what it steps, and has no method yet. */
@@ -263,16 +263,6 @@ static int move_node(dal_stepper *self, double shift, double *x)
     return dal__fail(&self->mech.error, DAL_EDOMAIN, "q + %g v overflows", shift);
 }
 
-/* Whether C nearly loses its rank where the stepper is. */
-static int look_at_rank(dal_stepper *self)
-{
-    const int status = dal__rank_look(&self->guards.rank, &self->mech, dal_stepper_time(self),
-                                      self->shift * self->motion.h, self->guards.allowed,
-                                      self->motion.x);
-    if (status) self->error = self->mech.error;
-    return status;
-}
-
 int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
                       dal_consistency consistency, dal_initial initial)
 {
@@ -296,6 +286,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     if (!status && initial == DAL_INITIAL_PROJECT)
         status = dal_project(&self->mech, t0, shift, self->fresh, &stats.initial_correction);
     if (!status && initial == DAL_INITIAL_SHIFT) status = move_node(self, shift, self->fresh);
+    if (!status) dal__rank_find(&self->guards.rank, &self->mech);
     dal__jump jump = {0};
     if (!status)
         status = dal__jump_start(&jump, &self->mech, self->scheme.order, shift, self->fresh);
@@ -327,7 +318,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     self->started = true;
     dal__fail(&self->error, DAL_SUCCESS, "%s", "");
     if (self->family->start) self->family->start(self->method, motion);
-    return look_at_rank(self);
+    return DAL_SUCCESS;
 }
 
 /* ---- steps ------------------------------------------------------------------------------ */
@@ -337,7 +328,7 @@ int dal__stepper_look(dal_stepper *stepper)
     const int status = dal__jump_look(&stepper->jump, &stepper->mech, stepper->motion.steps,
                                       stepper->motion.x);
     if (status) stepper->error = stepper->mech.error;
-    return status ? status : look_at_rank(stepper);
+    return status;
 }
 
 int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
@@ -367,21 +358,21 @@ int dal__stepper_started(dal_stepper *stepper)
     return dal__fail(&stepper->error, DAL_EINVAL, "the stepper was not started");
 }
 
-/* A step that chooses its size. */
+/* A step that chooses its size; before one that is to be short C is looked at. */
 static int choose_step(dal_stepper *self)
 {
     dal_motion *const motion = &self->motion;
-    dal__creep *const creep = &self->guards.creep;
+    struct dal__guards *const guards = &self->guards;
     const bool paced = self->pace.q > 0;
     const double t = dal_stepper_time(self);
-    int status = dal__creep_check(creep, t, fabs(self->vary.until - t), motion->error);
+    int status =
+        dal__creep_check(&guards->creep, t, fabs(self->vary.until - t), motion->error);
+    if (!status && dal__creep_is_short(&guards->creep, paced ? self->pace.h : motion->h))
+        status = dal__rank_look(&guards->rank, &self->mech, t, 0.0, guards->allowed, motion->x);
     if (!status) status = paced ? dal__pace_step(self) : dal__reversible_step(self);
     if (status) return status;
-    const double h = paced ? self->pace.h : motion->h;
-    dal__creep_step(creep, motion->t0 + motion->h, h);
-    if (!dal__creep_is_short(creep, h)) return DAL_SUCCESS;
-    return dal__rank_look(&self->guards.rank, &self->mech, motion->t0 + motion->h, 0.0,
-                          self->guards.allowed, motion->x);
+    dal__creep_step(&guards->creep, motion->t0 + motion->h, paced ? self->pace.h : motion->h);
+    return DAL_SUCCESS;
 }
 
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)

@@ -84,19 +84,19 @@ def test_the_least_pivot_survives_a_journal_and_a_saved_stepper(tmp_path):
     assert longer.stats.least_step == whole.stats.least_step < 1e-3
     assert longer.stats.least_pivot_rows == (0,)
 
-    first = dal.Stepper(system, "explicit", -0.5 * ahead, ahead, h=1 / 256)
-    first.step(steps=128)  # to 0, where the 64th and the 128th step are looked at
-    second = dal.Stepper(system, "explicit", -0.5 * ahead, ahead, h=1 / 256)
+    first = dal.Stepper(system, "reference", -0.5 * ahead, ahead, h=0.25)
+    first.step(steps=3)
+    second = dal.Stepper(system, "reference", -0.5 * ahead, ahead, h=0.25)
     second.restore(first.save())
     assert second.stats == first.stats
-    assert first.stats.least_pivot < 1e-20 and first.stats.least_pivot_t == 0.5
-    second.step(steps=64)
+    assert first.stats.least_pivot < 1e-12 and abs(first.stats.least_pivot_t - 0.5) < 1e-3
+    second.step()
     assert second.stats.least_pivot == first.stats.least_pivot
 
 
 def test_members_of_an_ensemble_know_their_least_pivot():
     starts = np.array([-0.5, 1.0])[:, None] * AHEAD
-    found = dal.ensemble(CROSSING, "explicit", q0=starts, v0=AHEAD, h=1 / 256, t_end=0.5)
+    found = dal.ensemble(CROSSING, "reference", q0=starts, v0=AHEAD, h=1.0, t_end=1)
     assert found.doubtful.tolist() == [True, False]
 
 
@@ -136,7 +136,7 @@ def test_a_run_that_no_longer_advances_ends(scheme, how):
 def test_many_short_steps_that_advance_are_not_stopped():
     # the spring is at rest for a while, in steps of 0.1 and more, and then has 1e4 times shorter ones
     system = dal.System.from_sympy(
-        x.d**2 / 2 - 5e8 * x**2, force={x: sympy.Symbol("u") * 1e8}, inputs="u", name="spring"
+        x.d**2 / 2 - 5e8 * x**2, force={x: sympy.Symbol("u") * 1e8}, inputs=[sympy.Symbol("u")], name="spring"
     )
     run, said = run_of(
         system, "bm6", [0], [0], t_end=2.2, inputs=[[0.0], [1.0]], hold=2.0, **AUTO
