@@ -179,9 +179,8 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
         const double beta = s->after / s->span, alpha = s->node != 0.0 ? 1.0 : beta;
         memcpy(x, at->x, 2 * size);
         k->stats.full_newtons++;
-        status = look_at_rank(self, dal_kernel_time(k, number, s->t_start), x);
         guess(self, s);
-        if (!status) status = dal__newton_step(&self->newton, mech,
+        status = dal__newton_step(&self->newton, mech,
                                   dal_kernel_time(k, number, s->t_start), t_end, alpha, beta,
                                   s->span * k->h, k->kept, x, at->kappa, &k->stats);
     }

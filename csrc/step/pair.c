@@ -99,8 +99,6 @@ static int full_step(pair_steps *self, dal_motion *motion, double t, double end)
     int status = dal__newton_step(&self->newton, mech, t, end, self->alpha, self->beta, motion->h,
                                   false, self->x, self->kappa, motion->stats);
     if (status || motion->stats->full_newtons == anew) return status;
-    status = dal__rank_look(&motion->guards->rank, mech, t, 0.0, DAL__UNRESOLVED, motion->x);
-    if (status) return status;
     return dal__rank_look(&motion->guards->rank, mech, end, 0.0, DAL__UNRESOLVED, self->x);
 }
 
