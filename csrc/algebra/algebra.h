@@ -140,8 +140,8 @@ typedef struct dal__creep {
 } dal__creep;
 /* A step has led to t, and the next would have the size |h|. */
 void dal__creep_step(dal__creep *self, double t, double h);
-/* Before each step, from t: DAL_ENOCONV if the last 10^4 have led nowhere, beside the longest one and
- * the span, that of the run or of the part of it that is known. */
+/* Before each step, from t: DAL_ENOCONV if the last 10^4 have led nowhere, beside the longest one
+ * and the span that is left. */
 int dal__creep_check(dal__creep *self, double t, double span, dal_error *error);
 static inline double dal__creep_shortest(const dal__creep *self)
 {

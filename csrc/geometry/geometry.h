@@ -212,8 +212,8 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
                     size_t count, const double *x, const double *inputs, double *energy,
                     double *multipliers, double *residual, double *relative, size_t *done);
 
-/* How near C has come to losing its rank along a motion (rank.c).  The pivot of row a is 1/(C^-1)_aa,
- * that of an elimination in which it comes last: the square of what constraint a has beside all
+/* How near C has come to losing its rank along a motion (rank.c).  The pivot of row a is
+ * 1/(C^-1)_aa, that of an elimination in which it comes last: the square of what constraint a has beside all
  * others.  It is compared with the largest that it has been, so that the scale of a constraint, or
  * constraints that are nearly dependent all the time, do not matter. */
 typedef struct dal__rank {
@@ -223,13 +223,13 @@ typedef struct dal__rank {
     size_t doubts;          /* looks that found one below what is allowed */
 } dal__rank;
 void dal__rank_reserve(dal__rank *rank, size_t m, arena *a);
-/* found <- the pivots by the forms and the metric as they are; then they may be those of a start. */
+/* found <- the pivots by the forms and the metric as they are; and then these are a start's. */
 void dal__rank_find(dal__rank *rank, dal_mechanics *mech);
 void dal__rank_start(dal__rank *rank, size_t m);
 /* to <- from, but where its pivots are. */
 void dal__rank_copy(size_t m, const dal__rank *from, dal__rank *to);
-/* A look at the state x[2n], moved back by shift v, for pivots below what is allowed.  Not where C has a
- * pattern.  Only DAL_EUSER; the text is in mech->error. */
+/* A look at the state x[2n], moved back by shift v, for pivots below what is allowed.  Not where C
+ * has a pattern.  The errors of the callbacks; the text is in mech->error. */
 int dal__rank_look(dal__rank *rank, dal_mechanics *mech, double t, double shift, double least,
                    const double *x);
 

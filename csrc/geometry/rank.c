@@ -45,7 +45,7 @@ int dal__rank_look(dal__rank *rank, dal_mechanics *mech, double t, double shift,
     double least = 1.0;
     if (m == 0 || mech->gram.C.pattern) return DAL_SUCCESS;
     const int status = dal__forms_at(mech, t, shift, x, false);
-    if (status) return status == DAL_EUSER ? status : DAL_SUCCESS;
+    if (status) return status;
     dal__rank_find(rank, mech);
     for (size_t a = 0; a < m; a++) {
         rank->largest[a] = fmax(rank->largest[a], rank->found[a]);

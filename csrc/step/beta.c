@@ -147,8 +147,9 @@ static void guess(beta *self, const dal_stage *s)
     for (size_t a = 0; a < k->m; a++) solver->lambda[a] = k->latest[a] / (k->latest_span * k->h);
 }
 
-/* Beside a stage that the simple iteration has not solved: where that is so because C nearly loses
- * its rank the steps may follow either branch.  Those of controlled size look where they are short. */
+/* After a stage that the simple iteration has not solved: where that is so because C nearly loses
+ * its rank the steps may follow either branch.  Steps of controlled size look where they are
+ * short. */
 static int look_at_rank(const beta *self, double t, const double *x)
 {
     const dal_kernel *const k = &self->kernel;

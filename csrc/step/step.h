@@ -49,8 +49,8 @@ void dal__newton_restore(newton *solver, const double *values);
 int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double alpha,
                      double beta, double h, bool kept, double *x, double *kappa, dal_stats *stats);
 
-/* A pivot of C beside which a stage that needs the full Newton iteration is one of steps too long to
- * see how the constraints turn there: see dal__rank. */
+/* A pivot of C beside which a stage that needs the full Newton iteration is one of steps too long
+ * to see how the constraints turn there: see dal__rank. */
 #define DAL__UNRESOLVED 1e-2
 
 /* Whether the energy jumps (jump.c): looked at now and then, never where something does work or

@@ -134,10 +134,9 @@ def test_a_run_that_no_longer_advances_ends(scheme, how):
 
 
 def test_many_short_steps_that_advance_are_not_stopped():
-    # the spring is at rest for a while, in steps of 0.1 and more, and then has 1e4 times shorter ones
-    system = dal.System.from_sympy(
-        x.d**2 / 2 - 5e8 * x**2, force={x: sympy.Symbol("u") * 1e8}, inputs=[sympy.Symbol("u")], name="spring"
-    )
+    # a spring at rest takes steps of 0.1 and more, and then, pushed, 1e4 times shorter ones
+    u = sympy.Symbol("u")
+    system = dal.System.from_sympy(x.d**2 / 2 - 5e8 * x**2, force={x: 1e8 * u}, inputs=[u])
     run, said = run_of(
         system, "bm6", [0], [0], t_end=2.2, inputs=[[0.0], [1.0]], hold=2.0, **AUTO
     )
