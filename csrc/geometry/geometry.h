@@ -213,9 +213,9 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
                     double *multipliers, double *residual, double *relative, size_t *done);
 
 /* How near C has come to losing its rank along a motion (rank.c).  The pivot of row a is
- * 1/(C^-1)_aa, that of an elimination in which it comes last: the square of what constraint a has beside all
- * others.  It is compared with the largest that it has been, so that the scale of a constraint, or
- * constraints that are nearly dependent all the time, do not matter. */
+ * 1/(C^-1)_aa, that of an elimination in which it comes last: the square of what constraint a has
+ * beside all others.  It is compared with the largest that it has been, so that the scale of a
+ * constraint, or constraints that are nearly dependent all the time, do not matter. */
 typedef struct dal__rank {
     double *largest, *found; /* [m] pivots of each row so far; those of the last look, or 0 */
     double least, t;        /* the least beside its largest, 1 at a start; when */

@@ -131,10 +131,10 @@ def rank_doubt(stats: Any) -> str:
     """Return where the constraints nearly lose rank, in words."""
     rows = [f"constraints[{a}]" for a in _rows_of(stats.least_pivot_rows)] or ["the constraints"]
     return (
-        f"near t = {stats.least_pivot_t:g} {' and '.join(rows)} nearly lost rank: the least pivot of mu M^-1 "
-        f"mu^T was {stats.least_pivot:.1e} of its usual size. If branches of the motion meet "
-        "there, as at a dead centre, the errors of the steps decide which one is followed: compare "
-        "runs with other steps or tolerances"
+        f"near t = {stats.least_pivot_t:g} {' and '.join(rows)} nearly lost rank: the least pivot "
+        f"of mu M^-1 mu^T was {stats.least_pivot:.1e} of its usual size. If branches of the motion "
+        "meet there, as at a dead centre, the errors of the steps decide which one is followed: "
+        "compare runs with other steps or tolerances"
     )
 
 
