@@ -1219,7 +1219,7 @@ static void test_times(void)
 
 /* ---- what Newton's steps say ---------------------------------------------------------------- */
 
-static double told(const void *ctx) { return *(const double *)ctx; }
+static double told(void *ctx) { return *(const double *)ctx; }
 
 /* After steps of these sizes, of a solution of size 1; before the second the first is halved so
  * many times. */
