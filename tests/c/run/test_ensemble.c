@@ -469,6 +469,14 @@ static int brake(double t, const double *x, double *u, void *ctx)
     return 0;
 }
 
+/* Not defined, whatever it has written. */
+static int undefined(double t, const double *x, double *u, void *ctx)
+{
+    (void)t, (void)x, (void)ctx;
+    u[0] = 1.0;
+    return 1;
+}
+
 /* A velocity that is braked in proportion to itself, held for two steps: after k holds of T it is
  * (1 - c T)^k of the first; the members have numbers of steps of their own. */
 static void test_control(void)
@@ -492,6 +500,13 @@ static void test_control(void)
         const double held = pow(1.0 - 2.0 * c * h, (double)(steps[k] / 2));
         CHECK_NEAR(states[k][2], 2.0 * held * (steps[k] % 2 ? 1.0 - c * h : 1.0), 8.0 * U);
     }
+    const dal_law none = {.values = undefined, .count = 1};
+    dal_members refused = members;
+    int status[COUNT];
+    refused.control = &none;
+    refused.status = status;
+    CHECK(!dal_ensemble_run(system, &scheme, NULL, &refused, 0, COUNT, NULL, NULL, NULL));
+    for (size_t k = 0; k < COUNT; k++) CHECK(status[k] == DAL_EINVAL);
     dal_system_free(system);
 }
 
