@@ -70,8 +70,7 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(12.0, 4.4), layout="constrai
 for (name, residual), style in zip(residuals.items(), ("-", "--"), strict=True):
     left.semilogy(t, np.maximum(residual, 1e-18), style, linewidth=0.9, label=name)
 left.axhline(4 * 3 * 2.0**-53, color="0.6", linewidth=0.8, linestyle=":", label="4 n u")
-ratio = r"$|\mu v| \;/\; \sum\; |\mu_i v_i|$"
-left.set(xlabel="time t (user's units)", ylabel=ratio, ylim=(1e-18, 1e-3))
+left.set(xlabel="time t (user's units)", ylabel="residual of D", ylim=(1e-18, 1e-3))
 left.set_title("between the rows of a run, h = 0.4")
 right.plot(inside.q[:, 0], inside.q[:, 1], "-", linewidth=0.9, label="run(t)")
 right.plot(run.q[:, 0], run.q[:, 1], "o", markersize=4, label="stored states")

@@ -4,7 +4,7 @@
  *     the default initial data of the built-in system; t from 0 to 1
  *
  * Prints, for each step size, the errors of q, v and of the multiplier lambda(q, v) at t = 1 and
- * the largest |mu v| / sum |mu_i v_i|; then the orders (p, s) beside what the scheme promises, and
+ * the worst residual of D; then the orders (p, s) beside what the scheme promises, and
  * the verdict.  p and s are slopes of the errors of one step, minus 1.
  *
  *     cc order.c $(pkg-config --cflags --libs dalembert) -o order && ./order [SCHEME]
@@ -36,7 +36,7 @@ int main(int count, char **arguments)
         return 1;
     }
     printf("%s on %s\n", scheme.name, dal_system_name(system));
-    printf("         h    error of q    of v          of lambda     of mu v\n");
+    printf("         h    error of q    of v          of lambda     residual of D\n");
     for (int k = 0; k < POINTS; k++)
         printf("%10.7f    %.3e     %.3e     %.3e     %.1e\n", points[k].h, points[k].q,
                points[k].v, points[k].multipliers, points[k].residual);

@@ -11,7 +11,7 @@ to 1::
     L = m (v_x^2 + v_y^2)/2 + J v_theta^2/2 + m g x,   sin(theta) v_x - cos(theta) v_y = 0
 
 ``python order.py [SCHEME [PICTURE.png]]`` prints, for each step size, the errors of q, v and of the
-multiplier lambda(q, v) at t = 1 and the largest ``|mu v| / sum |mu_i v_i|``; then the orders (p, s)
+multiplier lambda(q, v) at t = 1 and the worst residual of D; then the orders (p, s)
 beside what the scheme promises, and the verdict.  p and s are slopes of the errors of one step,
 minus 1.  ``print(study)`` prints a table of the same, and ``examples/order.c`` this one in C.
 """
@@ -29,7 +29,7 @@ knife_edge = dal.systems.knife_edge()
 study = dal.convergence(knife_edge, scheme, t_end=1, steps=[80, 120, 160, 240, 320, 480])
 
 print(f"{study.scheme.name} on {study.system.name}")
-print("         h    error of q    of v          of lambda     of mu v")
+print("         h    error of q    of v          of lambda     residual of D")
 for h, q, v, multiplier, residual in zip(
     study.h, study.q_error, study.v_error, study.multiplier_error, study.residual
 ):

@@ -137,7 +137,7 @@ int main(void)
     printf("energy               %.6f, off by %.3e\n", energy[0], off(energy));
     printf("v_phi                %.6f, off by %.1e\n", v_phi[0], off(v_phi));
     printf("R (right - left) - 2 b phi    off by %.1e\n", off(slip));
-    printf("largest |mu v| / sum |mu_i v_i|      %.1e\n", worst);
+    printf("worst residual of D  %.1e\n", worst);
 
     dal_stepper_free(stepper);
     dal_mechanics_free(mechanics);

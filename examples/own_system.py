@@ -98,7 +98,7 @@ print(f"drifts in {turns} turns   {run.q[-1, 1]:.6f}, exactly {turns * pi * a / 
 print(f"energy               {run.energy[0]:.6f}, off by {off(run.energy):.3e}")
 print(f"v_phi                {v_phi[0]:.6f}, off by {off(v_phi):.1e}")
 print(f"R (right - left) - 2 b phi    off by {off(slip):.1e}")
-print(f"largest |mu v| / sum |mu_i v_i|      {run.residual.max():.1e}")
+print(f"worst residual of D  {run.residual.max():.1e}")
 
 # %%
 # How it looks

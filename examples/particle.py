@@ -8,7 +8,7 @@ A free particle in space with one velocity constraint, by the midpoint scheme::
     q = (0, 1, 0), v = (1, 1, 1) at t = 0;  h = 0.01, 1000 steps
 
 ``python particle.py [PICTURE.png]`` prints the end point beside the exact one, the band in which
-the energy stays, and how well the constraint is kept: the largest ``|mu v| / sum |mu_i v_i|``.
+the energy stays, and the worst residual of D, which docs/residual.md defines.
 ``examples/particle.c`` prints the same in C.
 """
 
@@ -25,7 +25,7 @@ exact, _ = particle.exact(10, q0, v0)
 print("q(10)  ", *(f"{x:.9f}" for x in run.q[-1]))
 print("exact  ", *(f"{x:.9f}" for x in exact))
 print(f"energy  from {run.energy.min():.12f} to {run.energy.max():.12f}")
-print(f"largest |mu v| / sum |mu_i v_i| {run.residual.max():.1e}")
+print(f"worst residual of D {run.residual.max():.1e}")
 
 # %%
 # At each place D is a plane of velocities, here a disc.  It turns as y grows, and the velocity

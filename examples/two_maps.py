@@ -12,7 +12,7 @@ energy stays bounded for beta_D = 1/2.  How wide the band is depends on beta_L, 
 best.  Every run keeps D to roundoff.
 
 ``python two_maps.py [PICTURE.png]`` prints for each pair of maps the range of E - E(0), and the
-largest ``|mu v| / sum |mu_i v_i|``.
+worst residual of D.
 """
 
 import sys
@@ -31,7 +31,7 @@ pairs = [(0.5, 0.5), (0.25, 0.5), (0.0, 0.5), (0.5, 0.0), (0.5, 1.0)]
 # time, and shows all that is in between; here it checks the last step of each run.
 
 runs, errors = {}, {}
-print("beta_L  beta_D    min E - E(0)    max E - E(0)      of mu v")
+print("beta_L  beta_D    min E - E(0)    max E - E(0)  residual of D")
 for pair in pairs:
     run = runs[pair] = dal.integrate(robot, dal.Scheme.pair(*pair), h=h, steps=steps)
     q, v, _ = dal.Discrete(robot, *pair).advance(h, run.q[-2], run.v[-2], t=run.t[-2])

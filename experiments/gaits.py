@@ -120,7 +120,7 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
                 f"{name}: power of the amplitudes in {what} of one cycle", "-", f"{slope:.3f}",
                 abs(slope - power) < 0.25, f"{power} by the symmetries, to 0.25"))  # fmt: skip
         rows.append(common.holds(
-            f"{name}: largest |mu v| / sum |mu_i v_i|", "-", f"{found.residual.max():.1e}",
+            f"{name}: worst residual of D", "-", f"{found.residual.max():.1e}",
             found.residual.max() < 4 * 3 * 2.0**-53, "below 4 n u"))  # fmt: skip
     return rows, paths
 

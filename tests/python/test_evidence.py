@@ -120,3 +120,11 @@ def test_results_are_good(name):
     for row in results["rows"]:
         assert row["agrees"] != bool(row["differs"]), row
     assert (FOLDER / f"{name}.png").stat().st_size <= 60_000
+
+
+def test_the_residual_has_its_own_name():
+    """Its scale is |mu| |v| (docs/residual.md), not the sum of the |mu_i v_i|."""
+    places = (FOLDER, "*.json"), (EXPERIMENTS, "*.py"), (ROOT / "examples", "*.[cp]*")
+    pages = [path for folder, names in places for path in folder.glob(names)]
+    texts = [page.read_text(encoding="utf-8") for page in pages if page.is_file()] + [PAGE]
+    assert len(texts) > 50 and not any(re.search(r"mu\\?_i\s*v\\?_i", text) for text in texts)
