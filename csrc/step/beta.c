@@ -44,13 +44,18 @@ static bool is_slim(const dal_system *system, dal_kernel_fn routine)
     return system->lean && routine == dal__kernel_any();
 }
 
+bool dal__has_pairs(const dal_system *system)
+{
+    return !dal__has_momenta(system) && !dal__is_dragged(system);
+}
+
 /* A record as stages: one for each sub-step, but where no force depends on v, nor are there
  * momenta, a pair (0, a), (1, b), a + b not 0, is one (see kernel.h).  Of constant mass, stages
  * without a force at q~' need no momenta either. */
 static size_t plan_stages(const dal_system *system, const dal_substep *substep, size_t count,
                           dal_stage *stage, size_t *ends)
 {
-    const bool momenta = dal__has_momenta(system), apart = momenta || dal__is_dragged(system);
+    const bool momenta = dal__has_momenta(system), apart = !dal__has_pairs(system);
     const bool all = !system->mass || system->def.kind != DAL_LINEAR;
     size_t stages = 0;
     double passed = 0.0; /* of the step */

@@ -16,4 +16,7 @@ typedef struct dal__composition {
  * none: one stage, sub-steps of several maps, no order.  DAL_ENOMEM. */
 int dal__embedded_weights(const dal__composition *of, double *weight, int *q, dal_error *error);
 
+/* Whether a pair of sub-steps (0, a), (1, b) is one stage on a system: see kernel.h. */
+bool dal__has_pairs(const dal_system *system);
+
 #endif /* DAL__EMBEDDED_H */

@@ -11,6 +11,7 @@
  * that step one order in both (E12), and the run none: for that start the first step has to have
  * (p - 1, s - 1), and the errors at t_end the slope p. */
 #include "dalembert/study.h"
+#include "step/embedded.h"
 #include "step/step.h"
 
 #include <math.h>
@@ -695,11 +696,16 @@ static int place_on_D(study *self)
     dal__copy(2 * self->n, self->def->x0, self->x0);
     int status = dal_relative_residual(self->mech, self->def->t0, 0.0, self->x0, &residual);
     if (!status && residual > DAL_CONSISTENT)
-        return dal__fail(self->error, DAL_EOFFD, "the initial data do not lie in D: |mu v| is "
-                         "%.3g of sum |mu_i v_i|, at most %g is accepted", residual,
+        return dal__fail(self->error, DAL_EOFFD, "the initial data do not lie in D: their "
+                         "residual is %.3g, at most %g is accepted", residual,
                          DAL_CONSISTENT);
     if (!status) status = dal_project(self->mech, self->def->t0, 0.0, self->x0, NULL);
     return dal__fail_because(self->error, status, dal_mechanics_error(self->mech), "%s", "");
+}
+
+const char *dal_scheme_usual(const dal_system *system)
+{
+    return !system || dal__has_pairs(system) ? "leapfrog" : "midpoint";
 }
 
 int dal_order_study(const dal_system *system, const dal_scheme *scheme, const dal_order_def *def,

@@ -90,6 +90,11 @@ typedef struct dal_order_def {
     void *watch_ctx;
 } dal_order_def;
 
+/* The name of the scheme of order 2 whose steps cost least on system.  "leapfrog", a pair of
+ * sub-steps, is solved as one stage.  "midpoint" where that pair takes two: if M depends on q, the
+ * constraints are affine or nonlinear, or a force may depend on v.  "leapfrog" for NULL. */
+DAL_API const char *dal_scheme_usual(const dal_system *system);
+
 /* Step-size refinement of scheme on system: points[count] and *order.
  * DAL_EINVAL, DAL_ENOMEM, DAL_STOPPED (nothing is written), and the errors of the reference flow.
  * A run that fails is a failed point, not a failed study. */

@@ -34,8 +34,9 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     add = command.add_argument
     add("model", metavar="MODEL", help=runs.MODEL)
     add("--grid", action="append", default=[], type=axis, metavar="NAME=A:B:N|X,Y,...", help=_GRID)
-    add("--scheme", default="leapfrog", metavar="NAME",
-        help="a name of `dalembert schemes`, or beta (default: leapfrog)")
+    add("--scheme", metavar="NAME",
+        help="a name of `dalembert schemes`, or beta (default: the cheapest of order 2, leapfrog "
+        "or midpoint)")
     add("--parameter", action="append", default=[], type=parameter, metavar="NAME=VALUE",
         help="of all members; again for more")
     add("--q0", type=numbers, metavar="X,Y,...", help="positions at the start, of all members")

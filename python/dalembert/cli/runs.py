@@ -50,8 +50,8 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
                         help="what the error of the state at T may be, relative to "
                         "1 + abs(x) (default: 1e-6)")
     run.add_argument("--scheme", metavar="NAME",
-                     help="a name of `dalembert schemes`, or beta (default: leapfrog; with "
-                     "--h auto leapfrog-kl8)")
+                     help="a name of `dalembert schemes`, or beta (default: the cheapest of order "
+                     "2, leapfrog or midpoint; with --h auto its composition kl8)")
     run.add_argument("--h", type=_step, required=True, metavar="H",
                      help="the step, or auto: as long as the tolerance allows; or reversible")
     run.add_argument("--tolerance", type=float, metavar="E",
@@ -59,7 +59,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     run.add_argument("--eps", type=float, metavar="E", help="of --h reversible")
     run.add_argument("--h-max", type=float, metavar="H", help="the longest step of --h auto")
     add_end(run, required=True)
-    run.add_argument("--stride", type=int, default=1, metavar="K", help="store every K-th state")
+    run.add_argument("--stride", type=int, metavar="K", help="store every K-th state (default: 1)")
     run.add_argument("--consistent", choices=list(CONSISTENCY), default="check",
                      help="velocities that are not in D: refuse, project, or use them")
     run.add_argument("--initial", choices=list(INITIAL), help="how kept nodes start")
@@ -74,8 +74,9 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     _add_file(goes_on)
     add_end(goes_on, required=False)
     for command in (run, goes_on):
-        command.add_argument("--journal-errors", choices=list(ERRORS), default="warn",
-                             help="when the journal cannot be written: go on, or stop")
+        command.add_argument("--journal-errors", choices=list(ERRORS),
+                             help="when the journal cannot be written: warn and continue without "
+                             "it (default), or stop")
         command.add_argument("--output", type=Path, metavar="FILE", help=_OUTPUT)
     info = commands.add_parser("info", help="what a journal, or a saved run, holds")
     _add_file(info)

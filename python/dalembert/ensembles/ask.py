@@ -148,8 +148,8 @@ class Setting:
     kept: Kept
     consistent: str
     initial: str | None
-    max_iterations: int
-    hold: int
+    max_iterations: int | None
+    hold: int | None
     events: tuple[Event, ...]
     control: Callable[..., Any] | Law | None  # inputs that are a function, or expressions
     lanes: bool = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import math
@@ -23,6 +24,7 @@ from ..run.events import laws as events_of
 from ..run.events import take as take_events
 from ..core.memory import available_memory
 from ..run.integration import with_method
+from ..run.options import kind_of, require
 from ..run.steps import number_of_steps, options_of
 from ..run.journal import of_system, require_same
 from ..run.laws import Law, is_control, take_inputs
@@ -45,7 +47,7 @@ _MOST_BLOCKS = 100_000  # what schedulers and file systems bear
 
 def ensemble(
     system: System,
-    scheme: Scheme | str | float = "leapfrog",
+    scheme: Scheme | str | float | None = None,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     parameters: Mapping[str, ArrayLike] | None = None,
@@ -57,14 +59,14 @@ def ensemble(
     stride: int | None = None,
     keep: Any = "end",
     inputs: Any = None,
-    hold: int = 1,
+    hold: int | None = None,
     events: Any = (),
     consistent: str = "check",
     initial: str | None = None,
-    max_iterations: int = 50,
+    max_iterations: int | None = None,
     energy: str | None = None,
-    method: str = "rk8pd",
-    tolerance: float = 1e-13,
+    method: str | None = None,
+    tolerance: float | None = None,
     axes: Any = None,
     executor: Any = None,
     threads: int | None = None,
@@ -82,6 +84,7 @@ def ensemble(
     ----------
     system : System
     scheme : Scheme, str or float, optional
+        Default: that of `integrate` for a number h.
     q0, v0 : array_like, shape (..., n), optional
         Initial data, both; neither: those of the system with the parameters of each member.  The
         axes in front are those of the members, and are broadcast, as all that is given for them.
@@ -115,9 +118,10 @@ def ensemble(
     lanes : bool, optional
         Whether several members are stepped at once by vector instructions, 3 to 6 times as many in
         the same time: of systems with constant mass, linear constraints, and no forces of v, with
-        n <= 8, without events, inputs and ``energy``; others as without.  A member then has the
-        same bits whatever the order, the threads and its neighbours on the same kind of machine;
-        those of `integrate` to about 1e-12 over 1000 steps, as vector sines differ in the last bit.
+        n <= 8, without events, inputs and ``energy``.  Others are stepped one by one, with a
+        warning; ``lanes`` of the result says how it was.  A member then has the same bits whatever
+        the order, the threads and its neighbours on the same kind of machine; those of `integrate`
+        to about 1e-12 over 1000 steps, as vector sines differ in the last bit.
     store : str or path, optional
         A directory that gets the results, a file for each block.  Called again with the same
         arguments, what is there is not made again, whatever ended the process.
@@ -144,7 +148,8 @@ def ensemble(
     Warns
     -----
     DalembertWarning
-        If members are doubtful, for a reason that `integrate` would warn of.
+        If members are doubtful, for a reason that `integrate` would warn of; or if ``lanes`` has no
+        effect.
 
     Notes
     -----
@@ -162,6 +167,12 @@ def ensemble(
     True
     """
     ask = _ask(**{name: value for name, value in locals().items() if name not in _HOW})
+    if lanes and (why := work.without_lanes(ask.setting, inputs is not None)):
+        warnings.warn(
+            f"lanes = True has no effect, members are stepped one by one: {why}",
+            DalembertWarning, stacklevel=2,
+        )  # fmt: skip
+        ask = dataclasses.replace(ask, setting=dataclasses.replace(ask.setting, lanes=False))
     if executor is not None and threads is not None:
         raise ValueError(f"threads = {threads} with an executor: expected one of the two")
     path, count = None if store is None else _folder(store), pool.threads_of(threads)
@@ -260,11 +271,15 @@ def _ask(
 ) -> Ask:  # fmt: skip
     """Return what is asked for, or raise ValueError."""
     require_system(system)
-    record = Scheme.of(scheme)
+    record = Scheme.usual(system) if scheme is None else Scheme.of(scheme)
     t0 = arguments.number(t0, "t0")
     kept = Kept.of(keep, system)
     if isinstance(h, str):
         raise ValueError(f"h = {h!r}: ensembles have steps of one size, expected numbers")
+    require(
+        kind_of(record, method=method), inputs=inputs, hold=hold, events=events, initial=initial,
+        max_iterations=max_iterations, energy=energy, method=method, tolerance=tolerance,
+    )  # fmt: skip
     sizes = arguments.array(h, "h", *[(None,) * k for k in range(33)])
     many = np.unique(sizes)
     if sizes.size == 0:
@@ -272,9 +287,7 @@ def _ask(
     counts = [number_of_steps(t0, arguments.step_size(x, t0), t_end, steps) for x in many.tolist()]
     number = np.array(counts)[np.searchsorted(many, sizes)]
     stride = _stride(stride, kept, counts)
-    hold = arguments.integer(hold, "hold", 1)
-    if hold > 1 and inputs is None:
-        raise ValueError(f"hold = {hold} without inputs")
+    holds = 1 if hold is None else arguments.integer(hold, "hold", 1)
     inputs = take_inputs(system, inputs)
     if inputs is not None and not is_control(inputs) and len(set(counts)) > 1:
         raise ValueError("inputs: step sizes differ, and so do the numbers of steps; expected a "
@@ -283,18 +296,18 @@ def _ask(
         arguments.function(inputs, "inputs", "t, q, v")
         if not system.inputs:
             raise ValueError("inputs: the system takes no inputs")
-    given = read_members(system, q0, v0, parameters, inputs, -(-counts[0] // hold))
+    given = read_members(system, q0, v0, parameters, inputs, -(-counts[0] // holds))
     require_parameters(system.name, given["parameters"], system.parameters)
     all_given = {**{k: x for k, x in given.items() if k != "parameters"}, "h": Given(sizes),
                  **{f"parameters[{k!r}]": x for k, x in given["parameters"].items()}}
     shape = members_shape(all_given)
     arguments.choice(consistent, "consistent", CONSISTENCY)
     record._initial(initial)
-    options = options_of({}, max_iterations, energy)
+    options_of({}, max_iterations, energy)
     setting = Setting(
         system=system, scheme=with_method(record, method, tolerance), t0=t0, stride=stride,
         kept=kept, consistent=consistent, initial=initial,
-        max_iterations=int(options.max_iterations), energy=energy, hold=hold,
+        max_iterations=max_iterations, energy=energy, hold=hold,
         events=tuple(take_events(events)),
         control=inputs if is_control(inputs) else None, lanes=bool(lanes),
     )  # fmt: skip

@@ -225,6 +225,8 @@ class Ensemble(Mapping[str, Any]):
     t0 : float
     stride : int
         From row to row; 0 where the end alone was kept.
+    lanes : bool
+        Whether several members were stepped at once.
     """
 
     def __init__(self, ask: Ask, data: Memory | Stored) -> None:
@@ -232,7 +234,7 @@ class Ensemble(Mapping[str, Any]):
         setting = ask.setting
         self.system, self.scheme = setting.system, setting.scheme
         self.shape, self.axes, self.ticks = ask.shape, ask.axes, ask.ticks
-        self.t0, self.stride = setting.t0, setting.stride
+        self.t0, self.stride, self.lanes = setting.t0, setting.stride, setting.lanes
 
     # ---- what was given ------------------------------------------------------------------------
 
@@ -466,8 +468,8 @@ class Ensemble(Mapping[str, Any]):
         good, failed = int((status == 0).sum()), int((status < 0).sum())
         shape = "" if len(self.shape) < 2 else f" ({' x '.join(map(str, self.shape))})"
         lines = [
-            f"<Ensemble of {len(self)} runs{shape} of {self.system.name} by {self.scheme.name}: "
-            f"{good} went through",
+            f"<Ensemble of {len(self)} runs{shape} of {self.system.name} by {self.scheme.name}"
+            f"{' in lanes' * self.lanes}: {good} went through",
         ]
         if failed:
             lines.append(f"  {failed} failed, see failed and message(k)")

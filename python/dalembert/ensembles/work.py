@@ -85,6 +85,7 @@ def is_in_c(setting: Setting) -> bool:
     """Return whether C makes blocks without Python."""
     return (
         not setting.system._source.calls_python
+        and not setting.system.positions
         and setting.scheme._maps is None
         and setting.kept.reduce is None
         and not callable(setting.control)
@@ -127,7 +128,7 @@ def empty(setting: Setting, rows: int, count: int) -> Block:
 
 
 def _by_c(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
-    other = lanes.twin(setting.system) if has_lanes(setting, rows) else None
+    other = lanes.twin(setting.system) if setting.lanes else None
     if other is None:
         return _in_one_call(setting, rows, count, watch)
     if isinstance(setting.system._source, Expressions):
@@ -145,11 +146,22 @@ def _by_c(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) 
     return made
 
 
-def has_lanes(setting: Setting, rows: Mapping[str, Array]) -> bool:
-    """Return whether members may be stepped together."""
-    plain = setting.scheme.nodes == "moved" and setting.scheme.family == "beta"
-    alone = bool(setting.events or setting.energy or "inputs" in rows)
-    return setting.lanes and plain and not alone
+def without_lanes(setting: Setting, has_inputs: bool) -> str:
+    """Return why members cannot be stepped side by side; "" if they can."""
+    scheme = setting.scheme
+    if scheme.nodes != "moved" or scheme.family != "beta":
+        return f"the scheme {scheme.name!r} has kept nodes or no sub-steps"
+    given = {"events": setting.events, "energy": setting.energy, "inputs": has_inputs}
+    if there := [name for name, value in given.items() if value]:
+        return f"{there[0]} are looked after member by member"
+    if not is_in_c(setting):
+        return "Python functions are called for each member"
+    if lanes.twin(setting.system) is None:
+        return (
+            f"the system {setting.system.name!r} needs formulas, at most 8 coordinates, constant "
+            "mass, linear constraints and no force that depends on v"
+        )
+    return ""
 
 
 def _in_one_call(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
@@ -216,7 +228,7 @@ def _members(
         setattr(members, f"{name}_next", 0 if len(x) == 1 and count > 1 else size // len(x))
     members.steps = ffi.from_buffer("size_t[]", steps)
     members.steps_next = int(len(steps) > 1)
-    members.count, members.t0, members.hold = count, setting.t0, setting.hold
+    members.count, members.t0, members.hold = count, setting.t0, setting.hold or 1
     members.stride, members.lanes = setting.stride, int(setting.lanes)
     members.consistency = CONSISTENCY[setting.consistent]
     members.initial = INITIAL[setting.initial] if setting.initial else lib.DAL_INITIAL_NONE

@@ -12,22 +12,32 @@ from ..core import Array, arguments, extras
 from .solution import Solution
 
 
-def columns(run: Solution) -> tuple[list[str], Array]:
-    """Return names and columns: coordinates, velocities, multipliers, energy, residual.
+def columns(run: Solution) -> tuple[list[tuple[str, str]], Array]:
+    """Return columns: time, coordinates, velocities, multipliers, energy, residual.
 
-    A name may be there twice, where a coordinate is called "energy", say.
+    Of each its name, and of what it is.  The two differ by a "_" behind the name where a coordinate
+    is called so.
     """
     names = run.system.coordinates
-    head = [*names, *(f"v_{name}" for name in names)]
-    head += [*(f"lambda_{a}" for a in range(run.system.m)), "energy", "residual"]
-    return head, np.column_stack([run.x, run.multipliers, run.energy, run.residual])
+    quantities = ["t", *names, *(f"v_{name}" for name in names)]
+    quantities += [*(f"lambda_{a}" for a in range(run.system.m)), "energy", "residual"]
+    taken, head = {*names}, []
+    for k, quantity in enumerate(quantities):
+        name = quantity
+        while name in taken and not 0 < k <= len(names):
+            name += "_"
+        taken.add(name)
+        head.append((name, quantity))
+    return head, np.column_stack([run.t, run.x, run.multipliers, run.energy, run.residual])
 
 
 def to_pandas(run: Solution) -> Any:
     """Return the states as a ``pandas.DataFrame``, a row for each, with the time as its index.
 
     Columns: the coordinates, their velocities ``v_...``, the multipliers ``lambda_0`` and so
-    on, energy and residual.  Its ``attrs["units"]`` has the units that are known, by column.
+    on, energy and residual.  A name that is also a coordinate's has a "_" behind it: the energy is
+    ``energy_`` if a coordinate is called "energy".  Its ``attrs["units"]`` has the units that are
+    known, by column.
 
     Raises
     ------
@@ -42,8 +52,10 @@ def to_pandas(run: Solution) -> Any:
     """
     pandas = extras.require("pandas", "to_pandas")
     head, values = columns(run)
-    frame = pandas.DataFrame(values, pandas.Index(run.t, name="t"), head)
-    frame.attrs["units"] = {name: x for name in ("t", *head) if (x := run.system.unit(name))}
+    names = [name for name, _ in head]
+    frame = pandas.DataFrame(values[:, 1:], pandas.Index(run.t, name=names[0]), names[1:])
+    units = {name: run.system.unit(name) for name, quantity in head if name == quantity}
+    frame.attrs["units"] = {name: unit for name, unit in units.items() if unit}
     return frame
 
 

@@ -32,6 +32,7 @@ from .events import CONSISTENCY, Watch
 from .events import take as take_events
 from .journal import Journal, describe
 from .laws import take_inputs
+from .options import kind_of, require, word_of
 from .runs import Run, idle_steppers, started_stepper
 from .scheme import Scheme
 from .solution import Solution, rank_doubt
@@ -49,15 +50,15 @@ def integrate(
     t_end: float | None = None,
     steps: int | None = None,
     t0: float = 0.0,
-    stride: int = 1,
+    stride: int | None = None,
     consistent: str = "check",
     initial: str | None = None,
     observer: Callable[[int, float, Array, Array], Any] | None = None,
     progress: Progress = False,
     throw: bool = True,
-    max_iterations: int = 50,
+    max_iterations: int | None = None,
     energy: str | None = None,
-    method: str = "rk8pd",
+    method: str | None = None,
     tolerance: float | None = None,
     h_max: float | None = None,
     eps: float | None = None,
@@ -66,7 +67,7 @@ def integrate(
     events: Any = (),
     t_eval: ArrayLike | None = None,
     journal: str | os.PathLike[str] | None = None,
-    journal_errors: str = "warn",
+    journal_errors: str | None = None,
 ) -> Solution:
     """Integrate a system, with steps of one size or of controlled error.
 
@@ -75,8 +76,10 @@ def integrate(
     system : System
     scheme : Scheme, str or float, optional
         A record, the name of one, or beta.  "reference" is the adaptive flow of the ODE on D,
-        observed every ``h * stride``: the best choice for short accurate runs.  Default:
-        "leapfrog", "leapfrog-kl8" for ``h="auto"``, and "bm6" for ``h="reversible"``.
+        observed every ``h * stride``: the best choice for short accurate runs.  Default: the
+        scheme of order 2 whose steps cost least, "leapfrog", or "midpoint" if the mass matrix
+        depends on q, the constraints are affine or nonlinear, or a force depends on v; with
+        ``h="auto"`` "leapfrog-kl8" or "midpoint-kl8", with ``h="reversible"`` "bm6".
     q0, v0 : array_like, shape (n,), optional
         Initial data in the user's units, both; neither: those of the system.
     h : float, "auto" or "reversible"
@@ -96,8 +99,8 @@ def integrate(
     t0 : float, optional
         Initial time.
     stride : int, optional
-        Every stride-th state is stored; the number of steps is a multiple of it.  Where h is a
-        word the last state is stored in any case.
+        Every stride-th state is stored; default 1.  The number of steps is a multiple of it; where
+        h is a word the last state is stored in any case.
     consistent : {"check", "project", "assume"}, optional
         Initial data that are not in D are refused, projected in the mass metric, or used.
     initial : {"D", "D_eps", "project", "shift"}, optional
@@ -106,14 +109,14 @@ def integrate(
         projected from D onto D_eps.  "shift": q is moved to the node q + (1 - beta) h v, so that
         the run is that of the moved nodes, seen at the nodes.
     observer : callable, optional
-        ``observer(step, t, q, v)`` is called at every stored state; true stops the run.
+        ``observer(step, t, q, v)`` is called at every stride-th state; true stops the run.
     progress : bool or callable, optional
         True: a bar of tqdm.  A function is called as ``progress(done, total)``, some times a
         second, with numbers of steps; where h is a word with times that have passed.
     throw : bool, optional
         False: a step that fails ends the run, and the Solution says so, instead of an exception.
     max_iterations : int, optional
-        Of Newton in a sub-step.
+        Largest number of full Newton iterations in a sub-step; default 50.  Not of "reference".
     energy : {"keep"}, optional
         Each step keeps the energy to roundoff, by a scaling of the velocity before and after it,
         which stays in D.  It costs twice as much, and steps of h/2 without it lead nearer to the
@@ -121,9 +124,9 @@ def integrate(
         (leapfrog, midpoint and their compositions, bm4, bm6), constraints linear in v, and systems
         without forces or time.
     method : {"rk8pd", "msadams", "rodas", "taylor"}, optional
-        Of the reference flow.  "taylor": by Taylor series, of systems from expressions, for which
-        heyoka compiles them (``pip install heyoka``); without events, inputs and
-        journal.
+        Of the reference flow; default "rk8pd".  "taylor": by Taylor series, of systems from
+        expressions, for which heyoka compiles them (``pip install heyoka``); without events, inputs
+        and journal.
     tolerance : float, optional
         Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1];
         default 1e-13.  Of "auto", what the error of the state may be after a time of about 100,
@@ -155,8 +158,8 @@ def integrate(
         what the rest of the run depends on: whatever ends the process, `load` reads what there is
         and `resume` goes on, bit for bit.
     journal_errors : {"warn", "stop"}, optional
-        What a full disk, or a file that vanishes, does: the run goes on without the journal, or
-        ends with a `JournalError`.
+        What a full disk, or a file that vanishes, does: the run goes on without the journal, which
+        is the default, or ends with a `JournalError`.
 
     Returns
     -------
@@ -165,7 +168,8 @@ def integrate(
     Raises
     ------
     ValueError
-        If an argument is out of range; the text names it, its value, and what was expected.
+        If an argument is out of range, or an option has no effect on this kind of run; the text
+        names it, its value, and what was expected.
     MemoryError
         If the states would not fit into the memory of this machine; nothing was allocated.
     NotOnConstraintError
@@ -185,7 +189,8 @@ def integrate(
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: the energy has jumped where nothing does work, or was not
+        If the result may be doubtful: q0, or the end of the run, is off a position constraint; the
+        energy has jumped where nothing does work, or was not
         kept where it was to be, or many steps
         took the full Newton iteration, so that h is large for this system, or its constraints are
         nearly dependent; or if it cannot be told whether an event happens; or if the journal could
@@ -205,11 +210,17 @@ def integrate(
     """
     require_system(system)
     t0 = arguments.number(t0, "t0")
-    sizes = Steps.of(h, t0, t_end, steps, tolerance, h_max, eps)
+    word = word_of(h)
+    record = Scheme.usual(system, word) if scheme is None else Scheme.of(scheme)
+    require(
+        kind_of(record, word, method), steps=steps, stride=stride, initial=initial,
+        observer=observer, max_iterations=max_iterations, energy=energy, method=method,
+        tolerance=tolerance, h_max=h_max, eps=eps, inputs=inputs, hold=hold, events=events,
+        t_eval=t_eval, journal=journal, journal_errors=journal_errors,
+    )  # fmt: skip
+    sizes = Steps.of(h, t0, t_end, steps, tolerance, h_max, eps).by(record)
     varies = sizes.varies
-    record = Scheme.of(sizes.usual_scheme if scheme is None else scheme)
-    sizes = sizes.by(record)
-    stride = arguments.integer(stride, "stride", 1)
+    stride = 1 if stride is None else arguments.integer(stride, "stride", 1)
     if not varies and sizes.count % stride:
         raise ValueError(
             f"steps = {sizes.count}: expected a multiple of stride = {stride}, "
@@ -219,16 +230,10 @@ def integrate(
     start = record._initial(initial)
     options = options_of(sizes.control, max_iterations, energy)
     chosen = record if varies else with_method(record, method, tolerance)
-    if varies and record.is_reference:
-        raise ValueError(
-            f"h = {h!r} with the scheme \"reference\", which chooses its own steps: expected the "
-            "distance of the states that it stores"
-        )
     if chosen.is_series:
-        require_supported(system, events=events, inputs=inputs, journal=journal)
-        if t_eval is not None:
-            require_supported(system, observer=observer)
+        require_supported(system)
     x0 = geometry.initial_state(system, q0, v0)
+    doubt_positions(system, x0, t0, consistency)
     listed = take_events(events)
     times = None if t_eval is None else _times(t_eval, sizes)
     inputs = take_inputs(system, inputs)
@@ -274,7 +279,7 @@ def resume(
     throw: bool = True,
     inputs: Any = None,
     events: Any = (),
-    journal_errors: str = "warn",
+    journal_errors: str | None = None,
 ) -> Solution:
     """Go on with a run from its journal: bit for bit the run that was never stopped.
 
@@ -332,6 +337,7 @@ def resume(
     about, stride = journal.about, int(journal.info.stride)
     system, record = journal.system(system), journal.scheme(scheme)
     arguments.function(observer, "observer", "step, t, q, v")
+    require(kind_of(record, about["control"].get("h")), steps=steps, inputs=inputs, events=events)
     sizes = journal.steps(t_end, steps)
     if not sizes.varies and sizes.count % stride:
         raise ValueError(f"steps = {sizes.count}: expected a multiple of stride = {stride}")
@@ -363,6 +369,7 @@ def _make(
     solution, error = run.solution(), run.error
     if error is None:
         _warn(solution, run.watch)
+        _warn_of_drift(solution)
     elif throw or not isinstance(error, DalembertError):
         with contextlib.suppress(AttributeError, TypeError):
             error.partial = solution  # type: ignore[attr-defined]
@@ -376,24 +383,17 @@ def _make(
 # ---- arguments -----------------------------------------------------------------------------
 
 
-def with_method(record: Scheme, method: str, tolerance: float | None) -> Scheme:
+def with_method(record: Scheme, method: str | None, tolerance: float | None) -> Scheme:
     """Return a scheme; "reference" with this method and tolerance, unless it has its own."""
-    tolerance = 1e-13 if tolerance is None else tolerance
-    given = (method, tolerance) != ("rk8pd", 1e-13)
-    if not given and record.name != "reference":
-        return record
-    plain = Scheme.find("reference")
-    flow = Scheme.flow(method, tolerance)
-    if record == plain:
+    given = {"method": method, "tolerance": tolerance}
+    flow = Scheme.flow(**{name: x for name, x in given.items() if x is not None})
+    if record == Scheme.find("reference"):
         return flow
-    if given and record != flow:
-        own = record.name == plain.name
+    if given != {"method": None, "tolerance": None} and record != flow:
         raise ValueError(
-            f"method = {method!r}, tolerance = {tolerance}: "
-            + ("the scheme has a method and a tolerance of its own" if own else
-               f"these are of scheme 'reference', and a tolerance of h = 'auto'; {record.name!r} "
-               "with a number for h has neither")
-        )  # fmt: skip
+            f"method = {method!r}, tolerance = {tolerance!r}: the scheme has a method and a "
+            "tolerance of its own; remove them, or pass scheme='reference'"
+        )
     return record
 
 
@@ -451,10 +451,34 @@ def quietly() -> Iterator[list[str]]:
 def _warn(solution: Solution, watch: Watch | None = None) -> None:
     """Warn where a run that went through is doubtful."""
     for doubt in itertools.chain(doubts(solution), watch.doubts() if watch else ()):
-        if _quiet.warned is None:
-            warnings.warn(doubt, DalembertWarning, stacklevel=4)
-        else:
-            _quiet.warned.append(doubt)
+        _say(doubt, 5)
+
+
+def _say(doubt: str, stacklevel: int) -> None:
+    if _quiet.warned is None:
+        warnings.warn(doubt, DalembertWarning, stacklevel=stacklevel)
+    else:
+        _quiet.warned.append(doubt)
+
+
+def doubt_positions(system: System, x: Array, t: float, consistency: int = lib.DAL_CHECK) -> None:
+    """Warn of initial data off a position constraint, unless they are assumed to be right."""
+    if consistency != lib.DAL_ASSUME and (off := system.off_positions(x[: system.n], t)):
+        _say(
+            f"q0 is off a position constraint, and the motion stays off it: {off}; change q0, or "
+            "pass consistent='assume'", 4,
+        )  # fmt: skip
+
+
+def _warn_of_drift(solution: Solution) -> None:
+    """Warn where a run has left a position constraint on which it began."""
+    system, q, t = solution.system, solution.q, solution.t
+    if not system.off_positions(q[0], t[0]) and (off := system.off_positions(q[-1], t[-1])):
+        _say(
+            f"the run has drifted off a position constraint: {off}; each step keeps its time "
+            f"derivative only ({solution._how}): take shorter steps, or a scheme of higher order",
+            5,
+        )
 
 
 def _at(solution: Any) -> str:

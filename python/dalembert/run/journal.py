@@ -143,10 +143,10 @@ class Journal:
 
     @classmethod
     def create(
-        cls, path: Any, run: Run, scheme: Scheme, about: dict[str, Any], errors: str
+        cls, path: Any, run: Run, scheme: Scheme, about: dict[str, Any], errors: str | None
     ) -> Journal:
         """Return the new journal of a run that has not begun."""
-        goes_on = arguments.choice(errors, "journal_errors", ERRORS)
+        goes_on = _goes_on(errors)
         text = json.dumps(about).encode()
         record, kept = scheme._record_of(run.system)
         identity = json.dumps(about["system"]["identity"]).encode()
@@ -162,9 +162,9 @@ class Journal:
         return cls(os.fsdecode(name), handle, bool(goes_on))
 
     @classmethod
-    def open(cls, path: Any, *, writes: bool = False, errors: str = "warn") -> Journal:
+    def open(cls, path: Any, *, writes: bool = False, errors: str | None = None) -> Journal:
         """Return a journal that is there; a warning says if its end is damaged."""
-        goes_on = arguments.choice(errors, "journal_errors", ERRORS)
+        goes_on = _goes_on(errors)
         name = _name(path)
         os.stat(name)  # an OSError of the usual kind, if it is not there
         options = ffi.new("dal_journal_options *", {"goes_on": goes_on, "seconds": SECONDS})
@@ -211,8 +211,6 @@ class Journal:
         """Return the steps of the run, to another end if there is one."""
         t0, h, about = float(self.info.t0), float(self.info.h), self.about
         if about["control"]:
-            if steps is not None:
-                raise ValueError(f"steps = {steps}: expected t_end, each step has its own size")
             end = about["t_end"] if t_end is None else arguments.number(t_end, "t_end")
             return Steps(t0, end, math.nan, MOST, about["control"])
         if t_end is None and steps is None:
@@ -336,6 +334,11 @@ class Journal:
             else:
                 found.add(int(one["number"]), float(one["t"]), x, None)
         return found, int(self.info.n)
+
+
+def _goes_on(errors: str | None) -> int:
+    """Return whether a run continues when its journal cannot be written, as it does by default."""
+    return 1 if errors is None else arguments.choice(errors, "journal_errors", ERRORS)
 
 
 def _name(path: Any) -> str | bytes:

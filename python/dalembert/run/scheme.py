@@ -247,6 +247,20 @@ class Scheme:
         )
 
     @classmethod
+    def usual(cls, system: System, word: str | None = None) -> Scheme:
+        """Return the scheme of a run that names none, for a number or a word for its steps.
+
+        Of order 2 it is the one whose steps cost least on the system: "leapfrog", whose two
+        sub-steps are solved at once; or "midpoint" where they would be solved one after the other,
+        if the mass matrix depends on q, the constraints are affine or nonlinear, or a force depends
+        on v.  For "auto" it is the composition of order 8 of that scheme, for "reversible" "bm6".
+        """
+        if word == "reversible":
+            return cls.find("bm6")
+        base = core.string(lib.dal_scheme_usual(system._handle))
+        return cls.find(f"{base}-kl8" if word == "auto" else base)
+
+    @classmethod
     def _read(cls, record: Any, source: tuple[Any, ...], kept: Any = None) -> Scheme:
         """Return the scheme of a ``dal_scheme``, which ``source`` would give again."""
         given = {
@@ -328,13 +342,9 @@ class Scheme:
         Raises
         ------
         ValueError
-            If kept nodes are not told how to start, or moved ones are.
+            If it is missing, or not one of the four.
         """
         if self.nodes == "moved":
-            if name is not None:
-                raise ValueError(
-                    f"initial = {name!r}: {self.name!r} has moved nodes, it takes none"
-                )
             return int(lib.DAL_INITIAL_NONE)
         if name is None:
             raise ValueError(

@@ -12,6 +12,8 @@ from ..core import Array, arguments, ffi, lib, require_system
 from ..core.errors import raised
 from ..system import System
 from .events import CONSISTENCY
+from .integration import doubt_positions
+from .options import kind_of, require
 from .runs import one_row, started_stepper
 from .scheme import Scheme
 from .solution import Statistics, counts_of
@@ -28,7 +30,7 @@ class Stepper:
     Parameters
     ----------
     system, scheme, q0, v0, h, t0, consistent, initial, max_iterations, energy
-        As of `integrate`.
+        As of `integrate`, for a number h.
 
     Attributes
     ----------
@@ -56,7 +58,7 @@ class Stepper:
     def __init__(
         self,
         system: System,
-        scheme: Scheme | str | float = "leapfrog",
+        scheme: Scheme | str | float | None = None,
         q0: ArrayLike | None = None,
         v0: ArrayLike | None = None,
         *,
@@ -64,15 +66,19 @@ class Stepper:
         t0: float = 0.0,
         consistent: str = "check",
         initial: str | None = None,
-        max_iterations: int = 50,
+        max_iterations: int | None = None,
         energy: str | None = None,
     ) -> None:
         require_system(system)
-        self.system, self.scheme = system, Scheme.of(scheme)
+        self.system = system
+        self.scheme = Scheme.usual(system) if scheme is None else Scheme.of(scheme)
         self._t0 = arguments.number(t0, "t0")
         if isinstance(h, str):
             raise ValueError(f"h = {h!r}: a Stepper has steps of one size, expected a number")
         step = arguments.step_size(h, self._t0)
+        require(
+            kind_of(self.scheme), initial=initial, max_iterations=max_iterations, energy=energy
+        )
         self._how = (
             arguments.choice(consistent, "consistent", CONSISTENCY), self.scheme._initial(initial)
         )  # fmt: skip
@@ -82,6 +88,7 @@ class Stepper:
             system, self.scheme, self._x0, t0=self._t0, h=step, consistency=self._how[0],
             initial=self._how[1], options=options,
         )  # fmt: skip
+        doubt_positions(system, self._x0, self._t0, self._how[0])
         self._u = np.zeros(len(system.inputs))
         self._c_u = core.pointer(self._u)
         self._mean = np.full(system.m, np.nan)
@@ -111,8 +118,8 @@ class Stepper:
         """
         if inputs is not None:
             self._set(inputs)
-        if steps < 0:
-            raise ValueError(f"steps = {steps}: expected at least 0")
+        if type(steps) is not int or steps != 1:
+            steps = arguments.integer(steps, "steps", 0)
         raised.exception = None
         status = lib.dal_advance(self._handle, steps, self._c_mean, self._done)
         if status:
@@ -232,6 +239,7 @@ class Stepper:
         arguments.pair(q, v, ("q", "v"), " for those of the start")
         x = self._x0 if q is None else geometry.initial_state(self.system, q, v, "q", "v")
         t = self._t0 if t is None else arguments.number(t, "t")
+        doubt_positions(self.system, x, t, self._how[0])
         core.call(
             self.system.kind, lib.dal_stepper_start, self._handle, t, self.h, x, *self._how
         )

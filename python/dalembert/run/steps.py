@@ -15,6 +15,7 @@ from .scheme import Scheme
 
 MOST = 2**62  # steps, where nobody knows how many they will be
 TOLERANCE = 1e-9
+ITERATIONS = 50  # of Newton in a sub-step, unless the user gives another number
 
 
 @dataclass(frozen=True)
@@ -42,25 +43,16 @@ class Steps:
     def of(
         cls, h: Any, t0: float, t_end: Any, steps: Any, tolerance: Any, h_max: Any, eps: Any
     ) -> Steps:
-        """Return the steps of arguments of `integrate`."""
-        if h_max is not None and h != "auto":
-            raise ValueError(f"h_max = {h_max!r} with h = {h!r}: it is for h = 'auto'")
-        if eps is not None and h != "reversible":
-            raise ValueError(f"eps = {eps!r} with h = {h!r}: it is for h = 'reversible'")
+        """Return the steps of arguments of `integrate`, which apply to its kind of run."""
         if not isinstance(h, str):
             h = arguments.step_size(h, t0)
             count = number_of_steps(t0, h, t_end, steps)
             return cls(t0, t0 + count * h, h, count, {})
-        if h not in (words := ("auto", "reversible")):
-            meant = arguments.suggestion(h, words)
-            raise ValueError(f"h = {h!r}: {meant}expected a number, 'auto' or 'reversible'")
-        if t_end is None or steps is not None:
-            raise ValueError(f"h = {h!r} needs t_end: the number of steps is found by itself")
+        if t_end is None:
+            raise ValueError(f"t_end: needed with h = {h!r}, the number of steps is not known")
         control: dict[str, Any] = {"h": h}
         if h == "auto":
             control["tolerance"] = TOLERANCE if tolerance is None else tolerance
-        elif tolerance is not None:
-            raise ValueError(f"tolerance = {tolerance!r} with h = {h!r}: it is for h = 'auto'")
         for name, given in (("h_max", h_max), ("eps", eps)):
             if given is not None:
                 control[name] = given
@@ -69,7 +61,10 @@ class Steps:
             if not value > 0.0:  # C looks at its size; 0 is none there
                 raise ValueError(f"{name} = {control[name]!r}: expected a positive number")
             control[name] = value
-        return cls(t0, arguments.number(t_end, "t_end"), math.nan, MOST, control)
+        t_end = arguments.number(t_end, "t_end")
+        if abs(t_end - t0) / control.get("h_max", math.inf) > 2.0**53:  # steps of roundoff
+            raise ValueError(f"h_max = {h_max!r} is too small for t_end - t0 = {t_end - t0:g}")
+        return cls(t0, t_end, math.nan, MOST, control)
 
     def by(self, record: Scheme) -> Steps:
         """Return the steps by a scheme, which has an eps of its own for reversible ones."""
@@ -99,15 +94,8 @@ class Steps:
         """How long they are, in words."""
         return how(self.h, self.control)
 
-    @property
-    def usual_scheme(self) -> str:
-        """The scheme of a run that names none: where sizes vary a record of high order."""
-        return {"auto": "leapfrog-kl8", "reversible": "bm6"}.get(self.control.get("h"), "leapfrog")
-
     def hold(self, given: Any, inputs: Any) -> float:
         """Return for how many steps, or how long, a row of inputs is."""
-        if given not in (None, 1) and inputs is None:
-            raise ValueError(f"hold = {arguments.shown(given)} without inputs")
         if not self.varies:
             return 1 if given is None else arguments.integer(given, "hold", 1)
         if given is None and is_control(inputs):
@@ -146,9 +134,11 @@ def how(h: float, control: Mapping[str, Any]) -> str:
     return ", ".join([f"h = {control['h']!r}", *numbers])
 
 
-def options_of(control: Mapping[str, Any], max_iterations: Any = 50, energy: Any = None) -> Any:
+def options_of(control: Mapping[str, Any], max_iterations: Any = None, energy: Any = None) -> Any:
     """Return the ``dal_options`` of a stepper, which nobody writes to."""
-    most = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
+    most = ITERATIONS
+    if max_iterations is not None:
+        most = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
     keep = energy is not None and arguments.choice(energy, "energy", {"keep": 1})
     return _options(most, keep, tuple(control.items()))
 
@@ -176,7 +166,8 @@ def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None)
         raise ValueError(f"h = {h:g} is too small for t_end - t0 = {t_end - t0:g}")
     arguments.step_size(h, t_end)
     steps = round(ratio)
-    if abs(ratio - steps) > 1e-9 * max(1.0, ratio):
+    is_none = steps == 0 and abs(t_end - t0) > 2e-15 * max(abs(t0), abs(t_end))
+    if abs(ratio - steps) > 1e-9 * max(1.0, ratio) or is_none:
         few, many = math.floor(ratio), math.ceil(ratio)
         sizes = [f"{(t_end - t0) / k!r}" for k in (many, few) if k > 0]
         raise ValueError(

@@ -212,6 +212,6 @@ def _unpack(
 def _csv(run: Solution) -> bytes:
     """Return the columns with 17 digits, which are the very doubles."""
     (head, values), text = columns(run), io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(["t", *head])
-    np.savetxt(text, np.column_stack([run.t, values]), "%.17g", ",")
+    csv.writer(text, lineterminator="\n").writerow([name for name, _ in head])
+    np.savetxt(text, values, "%.17g", ",")
     return text.getvalue().encode()

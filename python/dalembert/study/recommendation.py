@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ ENOUGH = 0.1  # an error below that part of the accuracy has too short a step
 WORK = 20.0  # a scheme that needs so many times the work of the cheapest so far is given up,
 LONGEST = 0.2  # and one that needs so many seconds to be tried
 GROWTH = 3.0  # the largest power of the time with which regular motions lose accuracy
+ROWS, MOST_ROWS = 100, 10**5  # of the run that is recommended, at least and at most
 DRIFT = 2.0  # that of phases where the energy drifts, as it does with controlled steps
 
 
@@ -168,14 +169,15 @@ def recommend(
     x0 = geometry.initial_state(system, q0, v0)
     with quietly():
         pilot = _Pilot(system, x0, t0, t_end, inputs)
-        tried = sorted(_try_all(pilot, accuracy), key=lambda one: _rank(one, accuracy))
+        found = [_with_rows(one, t_end - t0) for one in _try_all(pilot, accuracy)]
+    tried = sorted(found, key=lambda one: _rank(one, accuracy))
     best = tried[0]
     if not best.error <= accuracy:
         raise ValueError(
             f"accuracy = {accuracy:g}: nothing that was tried has it at t = {t_end:g}; the "
             f"smallest error has {best.how}, {best.error:.0e}{pilot.doubt}"
         )
-    given = {"scheme": best.scheme, "h": best.h, "t_end": t_end}
+    given = {"scheme": best.scheme, "h": best.h, "t_end": t_end, **_rows(best, t_end - t0)}
     if t0 != 0.0:
         given["t0"] = t0
     if best.tolerance is not None:
@@ -184,6 +186,28 @@ def recommend(
         given, best.scheme, best.h, best.error, best.seconds, _why(pilot, tried, accuracy),
         tuple(tried),
     )  # fmt: skip
+
+
+def _with_rows(one: Tried, span: float) -> Tried:
+    """Return what was tried with steps of one size as many as make ROWS rows, or more."""
+    if one.steps == 0 or one.tolerance is not None:
+        return one
+    stride = _stride(one)
+    steps = stride * math.ceil(max(one.steps, ROWS) / stride)
+    return replace(one, h=span / steps, steps=steps, seconds=one.seconds * steps / one.steps)
+
+
+def _stride(one: Tried) -> int:
+    """Return from which step to which a state is stored, for at most MOST_ROWS."""
+    return 1 if one.scheme == "reference" else math.ceil(one.steps / MOST_ROWS)
+
+
+def _rows(best: Tried, span: float) -> dict[str, Any]:
+    """Return the arguments for ROWS to MOST_ROWS rows, besides a number for h."""
+    found: dict[str, Any] = {"stride": _stride(best)} if _stride(best) > 1 else {}
+    if best.h == "auto" and best.steps < ROWS:
+        found["h_max"] = abs(span) / ROWS
+    return found
 
 
 def _rank(one: Tried, accuracy: float) -> tuple[bool, float]:
@@ -219,8 +243,7 @@ class _Pilot:
 
     def __init__(self, system: System, x0: Array, t0: float, t_end: float, inputs: Any) -> None:
         self.system, self.x0, self.t0, self.t_end, self.inputs = system, x0, t0, t_end, inputs
-        base = "midpoint" if system.is_forced or not system.has_constant_mass else "leapfrog"
-        self.base = base
+        base = self.base = Scheme.usual(system).name
         begin = time.thread_time()
         first = self.run(
             f"{base}-kl8", t_end, h="auto", tolerance=1e-8,
@@ -290,7 +313,9 @@ def _try_all(pilot: _Pilot, accuracy: float) -> Iterator[Tried]:
         yield one
     for name in ("bm6", f"{base}-kl8"):
         yield _with_tolerance(pilot, name, "auto", accuracy)
-    yield _with_tolerance(pilot, "reference", pilot.t_end - pilot.t0, accuracy)
+    span = pilot.t_end - pilot.t0
+    rows = math.ceil(abs(span) / pilot.h)
+    yield _with_tolerance(pilot, "reference", span / min(max(rows, ROWS), MOST_ROWS), accuracy)
 
 
 def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> Tried:
@@ -330,7 +355,10 @@ def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
     """Return a flow, or controlled steps, with the largest tolerance that seems small enough."""
     least = 1e-14  # below which all is roundoff
     most = MOST if pilot.part == 1.0 else accuracy  # what is to come may need shorter steps
-    step: Any = h if h == "auto" else pilot.end - pilot.t0
+    step: Any = h
+    if h != "auto":
+        span = pilot.end - pilot.t0
+        step = span / math.ceil(span / h)
     tolerance = max(least, accuracy * pilot.part ** pilot.power(least))
     best = None
     failed = Tried(name, h, tolerance, 0, math.nan, math.inf)

@@ -14,6 +14,8 @@ from .. import core, geometry
 from ..core import arguments, extras, ffi, lib, require_system
 from ..core.extras import Progress
 from ..run import Scheme
+from ..run.integration import doubt_positions
+from ..run.options import kind_of, require
 from ..run import schemes as named_schemes
 from ..system import System
 from .study import COLUMNS, Fit, Studies, Study
@@ -23,6 +25,7 @@ from .study import COLUMNS, Fit, Studies, Study
 FINE = (80, 120, 160, 240, 320, 480, 640)
 COARSE = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80)
 LONGEST = 16  # of the default intervals
+TOLERANCE = 1e-14  # of the reference flow
 MOST_STEPS = 10**9  # of all runs together, unless the caller says that more are meant
 
 FITS = (  # in the order of dal_order_fit
@@ -33,7 +36,7 @@ FITS = (  # in the order of dal_order_fit
 
 def convergence(
     system: System,
-    scheme: Scheme | str | float,
+    scheme: Scheme | str | float | None = None,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     *,
@@ -41,7 +44,7 @@ def convergence(
     t0: float = 0.0,
     steps: Sequence[int] | None = None,
     initial: str | None = None,
-    tolerance: float = 1e-14,
+    tolerance: float | None = None,
     max_steps: int = MOST_STEPS,
     progress: Progress = False,
 ) -> Study:
@@ -50,8 +53,8 @@ def convergence(
     Parameters
     ----------
     system : System
-    scheme : Scheme, str or float
-        A record, the name of one, or beta.
+    scheme : Scheme, str or float, optional
+        A record, the name of one, or beta.  Default: that of `integrate` for a number h.
     q0, v0 : array_like, shape (n,), optional
         Initial data in D, in the user's units.  Default: those of the system.
     t_end, t0 : float, optional
@@ -61,9 +64,10 @@ def convergence(
         Numbers of steps over the interval, no two of them equal.  The default depends on the
         promised order: small steps, for high orders as small as the round-off floor allows.
     initial : {"D", "D_eps", "project", "shift"}, optional
-        How runs with kept nodes start; they refuse to start without.
+        How runs with kept nodes start; needed for them, and refused for others.
     tolerance : float, optional
-        Of the reference flow where the system has no exact solution, in [4.4e-16, 0.1].
+        Tolerance of the reference flow, in [4.4e-16, 0.1]; default 1e-14.  It is refused where
+        errors are measured against the exact solution of the system.
     max_steps : int, optional
         More steps than these, of all runs together, are refused before the first one.
     progress : bool or callable, optional
@@ -89,10 +93,17 @@ def convergence(
     (True, 2)
     """
     require_system(system)
-    record = Scheme.of(scheme)
+    record = Scheme.usual(system) if scheme is None else Scheme.of(scheme)
     t0 = arguments.number(t0, "t0")
+    require(kind_of(record), initial=initial)
+    if tolerance is not None and not _has_flow(system, record, t0):
+        raise ValueError(
+            f"tolerance = {arguments.shown(tolerance)} has no effect: errors are measured against "
+            f"the exact solution of {system.name!r}, not the reference flow; remove it"
+        )
     start = record._initial(initial)
     x0 = geometry.initial_state(system, q0, v0)
+    doubt_positions(system, x0, t0)
     max_steps = arguments.integer(max_steps, "max_steps", 1)
     options = {"t0": t0, "initial": initial, "tolerance": tolerance, "max_steps": max_steps}
 
@@ -110,7 +121,8 @@ def convergence(
     c_numbers = ffi.new("size_t[]", numbers)
     definition = {
         "t0": t0, "t_end": t_end, "x0": core.pointer(x0), "initial": start,
-        "steps": c_numbers, "count": len(numbers), "tolerance": arguments.tolerance(tolerance),
+        "steps": c_numbers, "count": len(numbers),
+        "tolerance": TOLERANCE if tolerance is None else arguments.tolerance(tolerance),
     }  # fmt: skip
     measured = _measure(system, record, definition, sum(numbers), progress)
     q, v = np.split(x0, 2)
@@ -118,6 +130,13 @@ def convergence(
         system=system, scheme=record, q0=q, v0=v, t0=t0, t_end=t_end, initial=initial,
         steps=np.array(numbers), **measured,
     )  # fmt: skip
+
+
+def _has_flow(system: System, record: Scheme, t0: float) -> bool:
+    """Return whether a study uses the reference flow: off D, or without an exact solution."""
+    known = system._has_exact is None and system.has_exact  # to C
+    autonomous = not (system.is_forced or system.is_time_dependent)
+    return record.nodes == "kept" or not (known and (autonomous or t0 == 0.0))
 
 
 def _measure(
@@ -162,7 +181,7 @@ def studies(
     t0: float = 0.0,
     steps: Sequence[int] | None = None,
     initial: str | None = None,
-    tolerance: float = 1e-14,
+    tolerance: float | None = None,
     max_steps: int = MOST_STEPS,
     progress: bool | Callable[[float, int], Any] = False,
 ) -> Studies:
@@ -174,7 +193,7 @@ def studies(
     schemes : Scheme, str or float, or iterable of them, optional
         Default: every named scheme.
     initial : {"D", "D_eps", "project", "shift"}, optional
-        How runs with kept nodes start.  Default: "D_eps"; schemes with moved nodes need none.
+        How runs with kept nodes start.  Default: "D_eps".  It is refused if no scheme has them.
     progress : bool or callable, optional
         True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
         schemes; the part of a scheme that is done counts.
@@ -206,6 +225,17 @@ def studies(
     elif isinstance(schemes, str) or not isinstance(schemes, Iterable):
         schemes = [schemes]
     records = [Scheme.of(scheme) for scheme in schemes]
+    t0 = arguments.number(t0, "t0")
+    applies = {
+        "initial": [record.nodes == "kept" for record in records],
+        "tolerance": [_has_flow(system, record, t0) for record in records],
+    }
+    for name, value in (("initial", initial), ("tolerance", tolerance)):
+        if value is not None and not any(applies[name]):
+            raise ValueError(
+                f"{name} = {arguments.shown(value)} has no effect on any of these schemes: "
+                "remove it"
+            )
     max_steps = arguments.integer(max_steps, "max_steps", 1)
     # The highest order first: it has the longest default interval.
     places = sorted(range(len(records)), key=lambda i: -records[i].order)
@@ -214,14 +244,15 @@ def studies(
         steps = _counts(steps)
         _require_few(len(records) * sum(steps), max_steps)
     elif t_end is not None:
-        duration = arguments.number(t_end, "t_end") - arguments.number(t0, "t0")
+        duration = arguments.number(t_end, "t_end") - t0
         _require_few(sum(_default_total(record.order, duration) for record in records), max_steps)
-    options = {"t0": t0, "steps": steps, "tolerance": tolerance, "max_steps": max_steps}
+    options = {"t0": t0, "steps": steps, "max_steps": max_steps}
     with _kept(found), extras.progress(progress, len(records), "scheme") as show:
         for i in places:
-            start = (initial or "D_eps") if records[i].nodes == "kept" else None
             found[i] = convergence(
-                system, records[i], q0, v0, t_end=t_end, initial=start, **options,
+                system, records[i], q0, v0, t_end=t_end, **options,
+                initial=(initial or "D_eps") if applies["initial"][i] else None,
+                tolerance=tolerance if applies["tolerance"][i] else None,
                 progress=lambda made, total: show(len(found) + made / total),
             )  # fmt: skip
             t_end = found[i].t_end

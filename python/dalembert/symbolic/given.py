@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,7 @@ def take(
     v0: Any,
     exact: Any,
     invariants: Mapping[str, Any] | None,
+    positions: Any = (),
 ) -> dict[str, Any]:
     """Return the model, the values of its parameters, and what was given by numbers and functions.
 
@@ -61,6 +62,7 @@ def take(
         exact if by_expressions else None,
         {key: e for key, e in named.items() if is_expressions(e)},
         inputs,
+        positions,
     )
     return {
         "model": model,
@@ -81,6 +83,7 @@ def make_model(
     exact: Any = None,
     invariants: Mapping[str, Any] | None = None,
     inputs: Iterable[Any] = (),
+    positions: Any = (),
 ) -> tuple[Model, dict[str, float]]:
     """Return the model, and the values of its parameters; ValueError if something is left over."""
     L = _expression(L, "L")
@@ -141,8 +144,57 @@ def make_model(
         ),
         assumptions=tuple(_assumed({key, *translate.used[key.name]}) for key in symbols),
         inputs=tuple(acting),
+        positions=tuple(_positions(positions, translate)),
     )
+    _require_derivatives(model, list(values.values()))
     return model, values
+
+
+def _positions(given: Any, translate: Translation) -> Iterator[Expr]:
+    """Yield the constraints on coordinates alone, in canonical symbols."""
+    for k, one in enumerate(_constraints(given, "positions")):
+        where = f"positions[{k}]"
+        if isinstance(one, list):
+            raise ValueError(f"{where}: expected an expression that vanishes, not coefficients")
+        found = translate(one, where, translate.clock)
+        if not found.free_symbols & {*translate.q}:
+            raise ValueError(f"{where} = {one}: expected a coordinate in it")
+        if found.free_symbols & {*translate.v}:
+            raise ValueError(f"{where} = {one}: expected coordinates alone, without a velocity")
+        yield found
+
+
+def _require_derivatives(model: Model, values: list[float]) -> None:
+    """Raise ValueError unless the derivatives of the positions by time are among the constraints.
+
+    That is seen at general states, where phi = mu v + a; what is not linear in v is not judged.
+    """
+    n, m, k, source = model.n, model.m, len(model.positions), np.random.default_rng(1)
+    if k == 0:
+        return
+    rates = [sympy.diff(e, models.TIME) for e in model.positions]
+    slopes = [sympy.diff(e, x) for e in model.constraints for x in model.v]
+    state = [models.TIME, model.q, model.v, model.p]
+    at = sympy.lambdify(state, [*rates, *model.constraints, *slopes], "math", cse=True)
+    for scale in (1.0, -1.0, 10.0, -10.0, 0.1):
+        t, q, v = 1.0, scale * source.uniform(0.2, 1.0, n), source.uniform(0.2, 1.0, n)
+        try:
+            found, other = (np.array(at(t, q, w, values), dtype=float) for w in (v, 2.0 * v))
+            G = np.reshape(model.at_positions(t, q, values)[k:], (k, n))
+        except (ArithmeticError, ValueError, TypeError):
+            continue  # outside of the domain
+        mu = found[k + m :].reshape(m, n)
+        if not np.allclose(found[k + m :], other[k + m :], rtol=1e-9, atol=1e-12):
+            return
+        rows = np.column_stack([mu, found[k : k + m] - mu @ v])
+        wanted = np.column_stack([G, found[:k]])
+        rest = wanted - np.linalg.lstsq(rows.T, wanted.T, rcond=None)[0].T @ rows
+        for i in np.flatnonzero(abs(rest).max(axis=1) > 1e-8 * abs(wanted).max(axis=1)):
+            raise ValueError(
+                f"positions[{i}] = {model.shown(model.positions[i])}: its time derivative is no "
+                "combination of the constraints; add it to them"
+            )
+        return
 
 
 class Translation:
@@ -332,7 +384,7 @@ def _expression(value: Any, name: str) -> Expr:
     return found
 
 
-def _constraints(given: Any) -> list[Any]:
+def _constraints(given: Any, name: str = "constraints") -> list[Any]:
     """Return for each constraint an expression that vanishes, or a list of n coefficients."""
     if given is None:
         return []
@@ -344,8 +396,8 @@ def _constraints(given: Any) -> list[Any]:
     if isinstance(given, sympy.Expr | sympy.Eq):
         given = [given]
     found: list[Any] = []
-    for a, one in enumerate(_several(given, "constraints")):
-        where = f"constraints[{a}]"
+    for a, one in enumerate(_several(given, name)):
+        where = f"{name}[{a}]"
         if isinstance(one, sympy.Eq):
             found.append(_expression(one.lhs - one.rhs, where))
         elif isinstance(one, list | tuple | sympy.Tuple | sympy.MatrixBase | np.ndarray):

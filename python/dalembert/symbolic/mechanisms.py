@@ -44,12 +44,12 @@ def from_method(method: Any, inputs: Any = ()) -> dict[str, Any]:
     _refuse_kane(method)
     if not isinstance(method, LagrangesMethod):
         raise ValueError(f"lm = {method!r}: expected a sympy.physics.mechanics.LagrangesMethod")
-    _refuse_holonomic(method._hol_coneqs)
     q = list(method.q)
     V, force = _forces(method.forcelist, method.inertial, _Motion(q, {}), inputs)
     return {
         "L": method._L[0] - V,
         "constraints": list(method.coneqs),
+        "positions": list(method._hol_coneqs or ()),
         "coordinates": q,
         "force": force,
     }
@@ -62,7 +62,6 @@ def from_system(system: Any, inputs: Any = ()) -> dict[str, Any]:
     _refuse_kane(system)
     if not isinstance(system, mechanics.System):
         raise ValueError(f"system = {system!r}: expected a sympy.physics.mechanics.System")
-    _refuse_holonomic(system.holonomic_constraints)
     if len(system.u_aux):
         raise ValueError(f"auxiliary speeds {list(system.u_aux)}: there is no slot for them")
     q, rule = list(system.q), _velocities(system)
@@ -79,6 +78,7 @@ def from_system(system: Any, inputs: Any = ()) -> dict[str, Any]:
     return {
         "L": (L.subs(rule).doit() if rule else L) - V,
         "constraints": [c.subs(rule) for c in constraints],
+        "positions": list(system.holonomic_constraints),
         "coordinates": q,
         "force": force,
     }
@@ -109,16 +109,6 @@ def _velocities(system: Any) -> Rule:
             f"kdes {equations}: they do not determine the speeds {speeds}; expected an equation "
             "for each, as u - x.diff()"
         ) from None
-
-
-def _refuse_holonomic(constraints: Any) -> None:
-    found = [c for c in (constraints or []) if c != 0]
-    if found:
-        raise ValueError(
-            f"the holonomic constraint {found[0]} = 0: there is no slot for constraints on the "
-            "coordinates; choose coordinates that satisfy it, or give its time derivative as a "
-            "velocity constraint, which then is kept, while the coordinates drift"
-        )
 
 
 # ---- numbers at a random state -----------------------------------------------------------------

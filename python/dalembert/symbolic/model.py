@@ -454,6 +454,8 @@ class Model:
         For each parameter what has to hold of its values: "positive", ...
     inputs : tuple of str
         Names; u0 is the first input of the force.
+    positions : tuple of sympy.Expr
+        Constraints on q, and the time, whose derivatives by the time are among the constraints.
     """
 
     coordinates: tuple[str, ...]
@@ -466,6 +468,7 @@ class Model:
     invariants: tuple[Expr, ...] = ()
     assumptions: tuple[tuple[str, ...], ...] = ()
     inputs: tuple[str, ...] = ()
+    positions: tuple[Expr, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         fields = dataclasses.fields(self)
@@ -564,6 +567,13 @@ class Model:
             )
             for output, expressions in (function.outputs.items() if function else ())
         }
+
+    @functools.cached_property
+    def at_positions(self) -> Callable[..., list[float]]:
+        """A function of (t, q, p): the position constraints, then the n slopes of each."""
+        slopes = [sympy.diff(e, x) for e in self.positions for x in self.q]
+        given = [with_default(e) for e in (*self.positions, *slopes)]
+        return sympy.lambdify([TIME, self.q, self.p], given, "math", cse=True)
 
     # ---- for people ------------------------------------------------------------------------
 
@@ -909,8 +919,8 @@ def _kind(
                 raise ValueError(f"{shown}: it is 0 for all velocities, and constrains nothing")
             raise ValueError(
                 f"{shown}: expected a velocity in "
-                "it; a constraint on the coordinates alone is holonomic, and can be given as its "
-                "time derivative, whose D is then kept"
+                "it; give the time derivative of a constraint on the coordinates alone, and itself "
+                "among positions"
             )
     if not affine:
         return "nonlinear", phi_v

@@ -19,6 +19,9 @@ from . import sources
 from .sources import Source
 
 
+CLOSE = 1e-6  # of position constraints: what is nearer satisfies them
+
+
 class System(Handle):
     """A mechanical system with velocity constraints, from functions of the user.
 
@@ -329,6 +332,7 @@ class System(Handle):
         exact: Any = None,
         invariants: Mapping[str, Any] | None = None,
         units: Mapping[str, str] | None = None,
+        positions: Any = (),
     ) -> System:
         """Return the system of a Lagrangian and constraints that are SymPy expressions.
 
@@ -376,6 +380,10 @@ class System(Handle):
             depends on time ``invariant(t, q, v, **parameters)``.
         units : mapping, optional
             As of `System`.
+        positions : sequence, optional
+            Constraints on coordinates alone, as expressions that vanish, whose time derivatives are
+            among the constraints.  Steps keep the derivatives.  Runs warn of initial data off a
+            position constraint by more than 1e-6, see `off_positions`, and where they drift as far.
 
         Returns
         -------
@@ -414,6 +422,7 @@ class System(Handle):
         taken = symbolic.given.take(
             L, constraints, coordinates, parameters,
             force=force, inputs=inputs, q0=q0, v0=v0, exact=exact, invariants=invariants,
+            positions=positions,
         )  # fmt: skip
         about = {"name": name, "help": help, "description": description, "source": source}
         return cls._of(sources.Expressions(about=about, **taken), units)
@@ -424,8 +433,9 @@ class System(Handle):
     ) -> System:
         """Return the system of a ``sympy.physics.mechanics.LagrangesMethod``.
 
-        Its Lagrangian, ``nonhol_coneqs`` and ``forcelist`` are taken.  A load that is constant in
-        ``frame`` becomes a part of V, any other a force.  Mind the sign of the multipliers: here
+        Its Lagrangian, its constraints and ``forcelist`` are taken; ``hol_coneqs`` are positions as
+        of `from_sympy`.  A load that is constant in ``frame`` becomes a part of V, any other a
+        force.  Mind the sign of the multipliers: here
         d/dt L_v - L_q = f + mu^T lambda.  The equations of a LagrangesMethod and
         its ``solve_multipliers`` have -lambda, its ``rhs()`` has lambda.
 
@@ -439,7 +449,7 @@ class System(Handle):
         Raises
         ------
         ValueError
-            If there are holonomic constraints, or it is no LagrangesMethod.
+            If it is no LagrangesMethod.
 
         Examples
         --------
@@ -462,8 +472,9 @@ class System(Handle):
 
         Its bodies give the Lagrangian, with their potential energies.  A load that is constant in
         the inertial frame, as a weight, becomes a part of V; other loads and actuators give the
-        force.  The nonholonomic constraints are kept.  Generalized speeds are replaced by
-        velocities after the kinematic differential equations.
+        force.  The velocity constraints are kept, and holonomic constraints are positions as of
+        `from_sympy`.  Generalized speeds are replaced by velocities after the kinematic
+        differential equations.
 
         Parameters
         ----------
@@ -474,9 +485,9 @@ class System(Handle):
         Raises
         ------
         ValueError
-            If there are holonomic constraints or auxiliary speeds; a speed has no kinematic
-            differential equation; the velocity of a mass centre is no derivative of a position, or
-            an angular velocity not that of an orientation; or it is no such System.
+            If there are auxiliary speeds; a speed has no kinematic differential equation; the
+            velocity of a mass centre is no derivative of a position, or an angular velocity not
+            that of an orientation; or it is no such System.
 
         Examples
         --------
@@ -675,6 +686,8 @@ class System(Handle):
         if q is None and v is None and self.q0 is None and self._model is not None:
             q, v = self._general_state()
         found = examine(self, q, v, arguments.number(t, "t"))
+        if (q is not None or self.q0 is not None) and (off := self.off_positions(q, t)):
+            found = dataclasses.replace(found, passed=False, text=off)
         if self.kind == "affine" and self._model is not None:
             found = dataclasses.replace(found, still=self._model.still())
         if self.m == 0 or self.kind != "linear" or self.is_time_dependent:
@@ -686,6 +699,48 @@ class System(Handle):
             distribution = growth.examine(self, place, at, show)
             show(total)
         return found.with_distribution(distribution)
+
+    @property
+    def positions(self) -> tuple[str, ...]:
+        """Position constraints that were given to `from_sympy`, as text."""
+        model = self._model
+        return () if model is None else tuple(str(model.shown(e)) for e in model.positions)
+
+    def off_positions(self, q: ArrayLike | None = None, t: float = 0.0) -> str:
+        """Return by how much coordinates violate a position constraint; "" if by at most 1e-6.
+
+        That is ``|g|`` relative to ``sum_i |dg/dq_i| (1 + |q_i|)``, for the ``positions`` of
+        `from_sympy`.
+
+        Parameters
+        ----------
+        q : array_like, shape (n,), optional
+            Default: the system's initial data.
+        t : float, optional
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> x, y = dal.coordinates("x y")
+        >>> bob = dal.System.from_sympy(
+        ...     (x.d**2 + y.d**2) / 2 - y, [x * x.d + y * y.d], positions=[x**2 + y**2 - 1]
+        ... )
+        >>> bob.off_positions([0, -1]), bob.off_positions([0, -1.01])[:12]
+        ('', 'positions[0]')
+        """
+        model = self._model
+        if model is None or not model.positions:
+            return ""
+        q = self.q0 if q is None else arguments.array(q, "q", (self.n,))
+        k = len(model.positions)
+        found = np.array(model.at_positions(t, q, list(self.parameters.values())), dtype=float)
+        off = abs(found[:k]) / (abs(found[k:].reshape(k, -1)) @ (1.0 + abs(q)))
+        for i in np.flatnonzero(~(off <= CLOSE)):
+            return (
+                f"positions[{i}] = {self.positions[i]} is {found[i]:.3g} at t = {t:g}, "
+                f"off by {off[i]:.1e} of the size of its terms, allowed {CLOSE:g}"
+            )
+        return ""
 
     def _general_state(self) -> Pair:
         """Return some state in D, in no special position."""

@@ -3,6 +3,7 @@
 #include "check.h"
 
 #include "step/beta.h"
+#include "dalembert/study.h"
 
 #include <locale.h>
 
@@ -202,6 +203,27 @@ static int no_constraint(double t, const double *q, const double *v, double *phi
     return -1;
 }
 
+/* Of a constant mass with linear constraints and a force of t and q alone, pairs are one stage. */
+static void test_usual(void)
+{
+    const double mass[4] = {1, 0, 0, 1};
+    for (int k = 0; k < 6; k++) {
+        const dal_system_def def = {
+            .n = 2, .m = k >= 4, .mass = k == 1 ? NULL : mass,
+            .lagrangian = k == 1 ? no_lagrangian : NULL,
+            .force = k == 2 || k == 3 ? no_force : NULL, .positional = k == 3,
+            .kind = k == 4 ? DAL_AFFINE : DAL_LINEAR,
+            .constraint = k >= 4 ? no_constraint : NULL,
+        };
+        dal_system *system = NULL;
+        CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
+        const bool apart = k == 1 || k == 2 || k == 4;
+        CHECK(strcmp(dal_scheme_usual(system), apart ? "midpoint" : "leapfrog") == 0);
+        dal_system_free(system);
+    }
+    CHECK(strcmp(dal_scheme_usual(NULL), "leapfrog") == 0);
+}
+
 static void test_explicit_and_shift(void)
 {
     dal_system *const system = open_system("particle_oscillator");
@@ -250,6 +272,7 @@ int main(void)
     test_compositions();
     test_names();
     test_validation();
+    test_usual();
     test_explicit_and_shift();
     return check_done();
 }

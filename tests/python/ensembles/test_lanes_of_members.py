@@ -92,6 +92,7 @@ def test_systems_of_the_library(tmp_path):
         there = many(dal.systems.sleigh(), **given)
         kept = many(dal.systems.sleigh(), store=tmp_path / "store", **given)
     assert lanes.twin(dal.systems.sleigh()) is not None
+    assert there.lanes and "by leapfrog in lanes: 19 went through" in repr(there)
     good = there.success
     assert there.message(4) == plain.message(4) and good.sum() == 19
     size = abs(plain.q[good]).max()
@@ -111,22 +112,26 @@ def test_formulas_that_do_not_say_the_same(monkeypatch):
 
 
 def test_what_has_no_lanes():
-    """It is made as without, to the bit."""
+    """It is made as without, to the bit, and the ensemble says so and why."""
     disc = dal.systems.rolling_disc()
     assert lanes.twin(disc) is None
     values = {"r": np.linspace(0.9, 1.1, 5)}
     given = {"parameters": values, "h": 0.01, "steps": 20}
-    for system, scheme, more in (
-        (disc, "midpoint", {}),
-        (dal.systems.sleigh(), "midpoint-nodes", {"initial": "shift"}),
-        (dal.systems.sleigh(), "pair:0.5:0.5", {}),
-        (dal.systems.sleigh(), "reference", {}),
-        (dal.systems.sleigh(), "midpoint", {"events": [lambda t, q, v: q[0] - 0.01]}),
-        (dal.systems.sleigh(), "midpoint", {"keep": lambda run: run.q[-1]}),
+    for system, scheme, more, why in (
+        (disc, "midpoint", {}, "'rolling_disc' needs .* constant mass"),
+        (dal.systems.sleigh(), "midpoint-nodes", {"initial": "shift"}, "'midpoint-nodes' has kept"),
+        (dal.systems.sleigh(), "pair:0.5:0.5", {}, "'pair:0.5:0.5' has .* no sub-steps"),
+        (dal.systems.sleigh(), "reference", {}, "'reference' has .* no sub-steps"),
+        (dal.systems.sleigh(), "midpoint", {"events": [lambda t, q, v: q[0] - 0.01]}, "events"),
+        (dal.systems.sleigh(), "midpoint", {"energy": "keep"}, "energy"),
+        (dal.systems.sleigh(), "midpoint", {"keep": lambda run: run.q[-1]}, "Python functions"),
     ):
         chosen = given if system is disc else given | {"parameters": {"a": values["r"] / 5}}
         one = many(system, scheme, lanes=False, **chosen, **more)
-        two = many(system, scheme, **chosen, **more)
+        assert not one.lanes and "in lanes" not in repr(one)
+        with pytest.warns(dal.DalembertWarning, match=f"^lanes = True has no effect, .*: .*{why}"):
+            two = many(system, scheme, **chosen, **more)
+        assert not two.lanes and "in lanes" not in repr(two)
         for name in one:
             assert np.array_equal(one[name], two[name], equal_nan=True), (scheme, name)
 

@@ -295,7 +295,7 @@ def test_a_controller_that_fails(cart):
         ({"inputs": lambda t, q, v: np.ones(3)}, "inputs has to return shape"),
         ({"inputs": lambda t: [1.0, 1.0]}, r"expected one of \(t, q, v\)"),
         ({"inputs": {"left": 1.0}}, "right is missing"),
-        ({"hold": 2}, "hold = 2 without inputs"),
+        ({"hold": 2}, "hold = 2 has no effect without inputs"),
         ({"inputs": [0.0, 0.0], "hold": 0}, "hold = 0"),
     ],
 )

@@ -386,7 +386,8 @@ def test_no_steps(own):
         ({"h": 0.1, "steps": 1, "scheme": 10**400}, "scheme = 1000.*: expected a Scheme"),
         ({"h": 0.1, "steps": 1, "scheme": "leapfrgo"}, "midpoint.*did you mean 'leapfrog'"),
         ({"h": 0.1, "steps": 1, "scheme": "kl8-leapfrog"}, "there are leapfrog"),
-        ({"h": 0.1, "steps": 1, "method": "rk8"}, "method = 'rk8': did you mean 'rk8pd'"),
+        ({"h": 0.1, "steps": 1, "scheme": "reference", "method": "rk8"},
+         "method = 'rk8': did you mean 'rk8pd'"),
         ({"h": 0.1, "steps": 1, "scheme": "reference", "tolerance": 0}, "tolerance"),
     ],
 )
@@ -591,12 +592,90 @@ def test_systems_without_a_simpler_iteration_are_not_warned_of():
         integration._warn(Doubtful(system=sleigh, stats=stats))
 
 
-@pytest.mark.parametrize("t_end, steps", [(1 + 5e-10, 10), (3e-11, 0), (1e5 * (1 + 5e-10), 10**6)])
+@pytest.mark.parametrize("t_end, steps", [(1 + 5e-10, 10), (0.0, 0), (1e5 * (1 + 5e-10), 10**6)])
 def test_t_end_is_met_to_1e_9(particle, t_end, steps):
     assert dal.integrate(particle, h=0.1, t_end=t_end, stride=steps or 1).stats.steps == steps
     for sign in (1, -1):
         with pytest.raises(ValueError, match="steps of h = 0.1"):
             dal.integrate(particle, h=0.1, t_end=max(t_end, 0.1) * (1 + 2e-9 * sign))
+
+
+@pytest.mark.parametrize(
+    ("h", "t_end", "t0"),
+    [(2**64, 1, 0), (1e300, 1e-300, 0), (-(2**64), -1, 0), (1e9, 1e6 + 1e-3, 1e6), (0.1, 3e-11, 0)],
+)
+def test_a_step_much_longer_than_the_run_is_refused(particle, h, t_end, t0):
+    """It would make no step, and leave the state at t0."""
+    given = {"h": h, "t_end": t_end, "t0": t0}
+    with pytest.raises(ValueError, match=r"^t_end = .* steps of h = "):
+        dal.integrate(particle, **given)
+    with pytest.raises(ValueError, match=r"^t_end = .* steps of h = "):
+        dal.ensemble(particle, progress=False, **given)
+    assert dal.integrate(particle, h=0.1, t0=0.3, t_end=0.1 * 3).stats.steps == 0  # an ulp
+
+
+@pytest.mark.parametrize("h_max", [1e-17, 1e-300])
+def test_steps_of_roundoff_are_refused(particle, h_max):
+    with pytest.raises(ValueError, match="^h_max = .* is too small for t_end - t0 = 1"):
+        dal.integrate(particle, h="auto", t_end=1, h_max=h_max)
+
+
+@pytest.mark.parametrize("steps", [2**64, 1.5, "a", None])
+def test_numbers_of_steps_of_a_stepper_are_integers(particle, steps):
+    stepper = dal.Stepper(particle, h=0.1)
+    with pytest.raises(ValueError, match="^steps = "):
+        stepper.step(steps=steps)
+    assert stepper.steps == 0
+
+
+# ---- the default scheme ----------------------------------------------------------------------
+
+
+def drag(t, q, v):
+    return -0.1 * v
+
+
+POSITIONAL = dal.System(mass=[1.0, 1.0], force=lambda t, q, v: -q, positional=True,
+                        q0=[1, 0], v0=[0, 1])  # fmt: skip
+DRAGGED = dal.System(mass=[1.0, 1.0], force=drag, q0=[1, 0], v0=[0, 1])
+SPARSE_DRAGGED = dal.System(
+    mass=[1.0] * 3, force=drag, forms=lambda q: [1.0, 1.0], sparsity=([0, 0], [0, 1]), m=1,
+    q0=[1, 0, 0], v0=[0, 0, 1],
+)  # fmt: skip
+SPEED = dal.System(
+    mass=[1.0, 1.0], constraint=lambda q, v: [v @ v - 1], constraint_v=lambda q, v: [2 * v],
+    q0=[0, 0], v0=[0.6, 0.8],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("system", "scheme"),
+    [
+        *[(getattr(dal.systems, name)(), "leapfrog") for name in
+          ("particle", "knife_edge", "sleigh", "disk", "robot", "snakeboard")],
+        (POSITIONAL, "leapfrog"),
+        *[(getattr(dal.systems, name)(), "midpoint") for name in
+          ("sleigh_contact", "genmass", "rolling_disc", "n_trailer", "ball_on_table")],
+        *[(system, "midpoint") for system in (DRAGGED, SPARSE_DRAGGED, SPEED)],
+    ],
+    ids=lambda one: getattr(one, "name", one),
+)  # fmt: skip
+def test_the_default_is_the_scheme_of_order_2_that_is_solved_at_once(system, scheme, tmp_path):
+    run = dal.integrate(system, h=0.01, steps=4, journal=tmp_path / "run.dal")
+    assert run.scheme.name == scheme and run.scheme.order == 2 and f"by {scheme}," in repr(run)
+    solved = {name: dal.integrate(system, name, h=0.01, steps=40).stats.iterations
+              for name in ("leapfrog", "midpoint")}  # fmt: skip
+    if scheme == "leapfrog":
+        assert solved["leapfrog"] <= solved["midpoint"]
+    else:
+        assert solved["leapfrog"] > 1.7 * solved["midpoint"]
+    assert dal.Stepper(system, h=0.01).scheme == run.scheme == dal.Scheme.usual(system)
+    assert dal.ensemble(system, h=0.01, steps=4, progress=False).scheme == run.scheme
+    few = dal.convergence(system, t_end=0.1, steps=[2, 4])
+    assert few.scheme == run.scheme
+    auto = dal.integrate(system, h="auto", t_end=0.01)
+    assert auto.scheme.name == f"{scheme}-kl8"
+    assert dal.load(tmp_path / "run.dal", system).scheme == run.scheme
 
 
 # ---- progress ------------------------------------------------------------------------------

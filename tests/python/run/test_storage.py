@@ -71,6 +71,33 @@ def test_csv_of_odd_names(tmp_path):
     assert head[1:4] == names and len(rows[0]) == len(head) == 9
 
 
+@pytest.mark.parametrize(
+    ("names", "columns"),
+    [
+        (["energy", "residual"], "energy residual v_energy v_residual energy_ residual_"),
+        (["x", "v_x"], "x v_x v_x_ v_v_x energy residual"),
+        (["t", "v_t_"], "t v_t_ v_t v_v_t_ energy residual"),
+        (["v_x", "x"], "v_x x v_v_x v_x_ energy residual"),
+    ],
+)
+def test_columns_have_different_names(names, columns, tmp_path):
+    """A coordinate has its name, and what else would be called so a "_" behind it."""
+    units = {"x": "m", "v_x": "m"} if "v_x" in names else None
+    system = dal.System(mass=[1, 1], coordinates=names, units=units, q0=[1, 2], v0=[3, 4])
+    run = dal.integrate(system, "explicit", h=0.5, steps=2)
+    frame = run.to_pandas()
+    assert list(frame.columns) == columns.split()
+    assert frame.index.name == ("t_" if "t" in names else "t")
+    np.testing.assert_array_equal(frame[names], run.q)
+    np.testing.assert_array_equal(frame.iloc[:, 2:4], run.v)
+    np.testing.assert_array_equal(frame.iloc[:, 4], run.energy)
+    assert len(frame.reset_index().columns) == 7
+    assert frame.attrs["units"] == (units or {})
+    run.save(tmp_path / "run.csv")
+    head = (tmp_path / "run.csv").read_text().splitlines()[0]
+    assert head == ",".join([frame.index.name, *frame.columns])
+
+
 def test_pandas():
     run = dal.integrate(dal.systems.sleigh(), h=0.1, steps=5)
     frame = run.to_pandas()

@@ -1,5 +1,6 @@
 """Recommendations: what they promise, held against other solutions."""
 
+import math
 import re
 
 import numpy as np
@@ -60,7 +61,7 @@ def test_errors_of_controlled_steps_are_expected_to_grow_with_the_square(monkeyp
     x = np.concatenate(ball.exact(end))
     for one in found.tried:
         if one.tolerance is not None:
-            h = end if one.scheme == "reference" else one.h
+            h = end / math.ceil(end / one.h) if one.scheme == "reference" else one.h
             run = dal.integrate(ball, one.scheme, h=h, t_end=end, tolerance=one.tolerance)
             there = (abs(run.x[-1] - x) / (1 + abs(x))).max()
             assert one.error > 0.5 * there * (3000 / end) ** 2, one
@@ -113,6 +114,38 @@ def test_what_it_says():
     assert len({(one.scheme, one.h == "auto") for one in found.tried}) == len(found.tried)
     assert repr(found).count("\n") == len(found.tried) + 1
     assert found.arguments["t_end"] == 20 and found.seconds > 0
+
+
+@pytest.mark.parametrize(
+    "name, t_end, accuracy, only",
+    [
+        ("knife_edge", 2, 1e-3, ("reference",)),
+        ("knife_edge", 0.5, 1e-3, ("leapfrog-kl8", "auto")),
+        ("knife_edge", 0.5, 1e-3, ("leapfrog-ss10",)),
+        ("heisenberg", 40_000, 1e-1, ("leapfrog",)),
+        ("heisenberg", 100_000, 1e-1, ("reference",)),
+    ],
+)
+def test_a_run_has_rows_that_can_be_plotted(name, t_end, accuracy, only, monkeypatch):
+    """Whatever is the fastest, its run stores between 100 and 100 000 states."""
+    every = recommendation._try_all
+
+    def some(pilot, accuracy):
+        for one in every(pilot, accuracy):
+            if (one.scheme, *["auto"] * (one.h == "auto")) == only:
+                yield one
+
+    monkeypatch.setattr(recommendation, "_try_all", some)
+    system = getattr(dal.systems, name)()
+    found = dal.recommend(system, t_end=t_end, accuracy=accuracy)
+    run = dal.integrate(system, **found.arguments)
+    assert 100 <= len(run.t) - 1 <= 100_000
+    assert run.t[0] == 0 and abs(run.t[-1] - t_end) < 1e-9 * t_end
+    if name == "knife_edge":
+        assert abs(run.q[-1] - system.exact(t_end)[0]).max() < accuracy
+    else:  # the motion is resolved: a row for each tenth of a turn and more
+        turns = np.count_nonzero(np.diff(np.sign(run.v[:, 0]))) / 2
+        assert len(run.t) > 8 * turns or len(run.t) > 50_000
 
 
 def test_what_cannot_be_reached_is_said():

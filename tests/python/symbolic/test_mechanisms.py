@@ -371,13 +371,8 @@ def test_a_force_at_a_contact_is_no_gradient():
 
 
 def test_mechanics_refused():
-    x, y, u = dynamicsymbols("x y u")
+    x, u = dynamicsymbols("x u")
     N = mechanics.ReferenceFrame("N")
-    holonomic = mechanics.LagrangesMethod(
-        x.diff() ** 2 / 2 + y.diff() ** 2 / 2, [x, y], hol_coneqs=[x**2 + y**2 - 1]
-    )
-    with pytest.raises(ValueError, match=r"holonomic constraint .*\*\*2.* = 0: there is no slot"):
-        dal.System.from_lagranges_method(holonomic)
     kane = mechanics.KanesMethod(N, [x], [u], kd_eqs=[u - x.diff()])
     for make in (dal.System.from_lagranges_method, dal.System.from_mechanics_system):
         with pytest.raises(
@@ -386,8 +381,28 @@ def test_mechanics_refused():
             make(kane)
         with pytest.raises(ValueError, match="expected a sympy.physics.mechanics"):
             make(5)
-    made = mechanics.System.from_newtonian(mechanics.RigidBody("W"))
-    made.add_coordinates(x)
-    made.add_holonomic_constraints(x**2 - 1)
-    with pytest.raises(ValueError, match="holonomic constraint"):
-        dal.System.from_mechanics_system(made)
+
+
+def test_positions_of_mechanics():
+    """A LagrangesMethod, and a System, with holonomic constraints."""
+    x, y = mechanics.dynamicsymbols("x y")
+    L = (x.diff() ** 2 + y.diff() ** 2) / 2 - 9.81 * y
+    lm = mechanics.LagrangesMethod(L, [x, y], hol_coneqs=[x**2 + y**2 - 1])
+    frame = mechanics.ReferenceFrame("N")
+    origin = mechanics.Point("O")
+    bodies = mechanics.System(frame=frame, fixed_point=origin)
+    bob = mechanics.Particle("P", origin.locatenew("p", x * frame.x + y * frame.y), 1)
+    bob.masscenter.set_vel(frame, x.diff() * frame.x + y.diff() * frame.y)
+    bob.potential_energy = 9.81 * y
+    bodies.add_bodies(bob)
+    bodies.q_ind = [x, y]
+    bodies.u_ind = [x.diff(), y.diff()]
+    bodies.add_holonomic_constraints(x**2 + y**2 - 1)
+    for system in (
+        dal.System.from_lagranges_method(lm), dal.System.from_mechanics_system(bodies)
+    ):  # fmt: skip
+        assert system.m == 1 and system.positions == ("x**2 + y**2 - 1",)
+        # at rest on its side: x'' = 0 and y'' = -g on the circle
+        np.testing.assert_allclose(system.acceleration([1, 0], [0, 0]), [0, -9.81])
+        with pytest.warns(dal.DalembertWarning, match=r"off a position constraint.* is 0.21 at"):
+            dal.integrate(system, q0=[1.1, 0], v0=[0, 0], h=0.01, steps=1)

@@ -9,6 +9,7 @@ import random
 import re
 import subprocess
 import sys
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
@@ -1107,3 +1108,63 @@ def test_compiled_field_is_looked_into():
     wall = dal.System.from_sympy(_SQUARES - sympy.log(_X), [row])
     with pytest.raises(dal.DomainError, match="gradient|potential"):
         wall.field([0, 1, 0], [1, 0, 1])
+
+
+# ---- positions ---------------------------------------------------------------------------------
+
+
+def pendulum(**more):
+    """A bob on a rod of length 1, by the derivative of its position constraint."""
+    x, y = dal.coordinates("x y")
+    given = {"positions": [x**2 + y**2 - 1], **more}
+    return dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2 - 9.81 * y, [x * x.d + y * y.d], name="pendulum", **given
+    )
+
+
+def test_initial_data_off_a_position_constraint_are_named():
+    system = pendulum()
+    angle = 0.3
+    on, off = (r * np.array([np.sin(angle), -np.cos(angle)]) for r in (1, 1.007))  # by 7 mm
+    v0, how = [0.0, 0.0], {"h": 0.001, "t_end": 0.1}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = dal.integrate(system, q0=on, v0=v0, **how)
+        dal.integrate(system, q0=off, v0=v0, consistent="assume", **how)
+        dal.integrate(system, q0=on * (1 + 1e-8), v0=v0, **how)
+        dal.integrate(pendulum(positions=()), q0=off, v0=v0, **how)  # nothing says that it is 1
+    assert abs(np.hypot(*run.q.T) - 1).max() < 1e-6
+    words = r"off a position constraint.*positions\[0\] = x\*\*2 \+ y\*\*2 - 1 is 0.014 at t = 0"
+    for make in (dal.integrate, dal.Stepper, dal.convergence):
+        given = {"integrate": how, "Stepper": {"h": 0.1}}.get(make.__name__, {"t_end": 0.1})
+        with pytest.warns(dal.DalembertWarning, match=words):
+            make(system, q0=off, v0=v0, **given)
+    with pytest.warns(dal.DalembertWarning, match="1 of 2 members are doubtful"):
+        many = dal.ensemble(system, q0=[on, off], v0=v0, progress=False, **how)
+    assert many["doubtful"].tolist() == [False, True]
+    check = system.check(off, v0)
+    assert not check and "positions[0] = x**2 + y**2 - 1 is 0.014" in check.text
+    assert system.check(on, v0) and system.positions == ("x**2 + y**2 - 1",)
+    assert system.off_positions(on) == "" and "off by 3" in system.off_positions(off)
+
+
+def test_a_run_that_drifts_off_a_position_constraint_says_so():
+    with pytest.warns(dal.DalembertWarning, match=r"drifted off a position constraint: positions"):
+        run = dal.integrate(pendulum(), "explicit", [0, -1], [1, 0], h=0.01, t_end=1)
+    assert abs(np.hypot(*run.q[-1]) - 1) > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("positions", "words"),
+    [
+        (lambda x, y: [x - y], r"positions\[0\] = x - y: its time derivative is no combination"),
+        (lambda x, y: [x**2 + y**2 - dal.time], r"its time derivative is no combination"),
+        (lambda x, y: [x.d - y], r"positions\[0\] = .*: expected coordinates alone"),
+        (lambda x, y: [x * 0 + 1], r"positions\[0\] = 1: expected a coordinate in it"),
+        (lambda x, y: [[1, 0]], r"positions\[0\]: expected an expression that vanishes"),
+        (lambda x, y: "x", r"positions = 'x': expected a sequence"),
+    ],
+)
+def test_refused_positions(positions, words):
+    with pytest.raises(ValueError, match=words):
+        pendulum(positions=positions(*dal.coordinates("x y")))

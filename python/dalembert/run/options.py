@@ -1,0 +1,105 @@
+"""Which options apply to which kind of run: one table, for all that make runs."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from ..core import arguments
+from .scheme import Scheme
+
+WORDS = ("auto", "reversible")  # what h may be instead of a number
+
+
+class Kind(NamedTuple):
+    """A kind of run: what asks for it, in words, and the options that apply to it."""
+
+    asked_by: str
+    options: frozenset[str]
+
+
+def _kind(asked_by: str, options: str) -> Kind:
+    return Kind(asked_by, frozenset([*options.split(), *_ALL]))
+
+
+_ALL = ("t0", "t_end", "stride", "consistent", "observer", "progress", "throw", "t_eval")
+_RUN = "max_iterations events journal journal_errors"
+
+KINDS = {
+    "fixed": _kind("a number for h at moved nodes", f"steps energy inputs hold {_RUN}"),
+    "kept": _kind("a number for h at kept nodes", f"steps initial inputs hold {_RUN}"),
+    "auto": _kind("h = 'auto'", f"tolerance h_max inputs hold {_RUN}"),
+    "reversible": _kind("h = 'reversible'", f"eps {_RUN}"),
+    "flow": _kind(
+        "the scheme 'reference'",
+        "steps method tolerance inputs hold events journal journal_errors",
+    ),
+    "series": _kind("method = 'taylor'", "steps method tolerance"),
+}
+
+# Options that have an effect only beside another one.
+_NEEDS = {"hold": "inputs", "journal_errors": "journal"}
+
+
+def word_of(h: Any) -> str | None:
+    """Return the word that is given for a step size, None for a number."""
+    if not isinstance(h, str):
+        return None
+    if h not in WORDS:
+        raise ValueError(
+            f"h = {h!r}: {arguments.suggestion(h, WORDS)}expected a number or one of "
+            f"{', '.join(map(repr, WORDS))}"
+        )
+    return h
+
+
+def kind_of(scheme: Scheme, word: str | None = None, method: Any = None) -> str:
+    """Return the kind of a run by a scheme; ValueError where the word for h has none."""
+    if word is not None and (scheme.is_reference or scheme.nodes == "kept"):
+        flow = scheme.is_reference
+        why = "chooses its own steps" if flow else "has kept nodes: D_eps depends on h"
+        raise ValueError(
+            f"h = {word!r} with the scheme {scheme.name!r}, which {why}; expected a number"
+        )
+    if scheme.is_reference:
+        return "series" if scheme.is_series or method == "taylor" else "flow"
+    return word or ("kept" if scheme.nodes == "kept" else "fixed")
+
+
+def require(kind: str, **given: Any) -> None:
+    """Raise ValueError for an option that is given and has no effect on a run of this kind.
+
+    None, and an empty sequence, are as good as nothing.
+    """
+    there = {name: value for name, value in given.items() if not _is_nothing(value)}
+    for name, value in there.items():
+        if name not in KINDS[kind].options:
+            takers = [each.asked_by for each in KINDS.values() if name in each.options]
+            raise ValueError(
+                f"{name} = {arguments.shown(value)} has no effect with {KINDS[kind].asked_by}: "
+                f"remove it; it applies to {_or(takers)}"
+            )
+        if _NEEDS.get(name, name) not in there:
+            raise ValueError(
+                f"{name} = {arguments.shown(value)} has no effect without {_NEEDS[name]}: "
+                f"remove it, or give {_NEEDS[name]}"
+            )
+    if "t_eval" not in there:
+        return
+    if "observer" in there and kind == "series":
+        raise ValueError(
+            "observer and t_eval: expected one of the two with method = 'taylor'; the methods "
+            "rk8pd, msadams and rodas take both"
+        )
+    if "stride" in there and "observer" not in there:
+        raise ValueError(
+            f"stride = {arguments.shown(given['stride'])} has no effect with t_eval, which says "
+            "when states are stored: remove one of the two"
+        )
+
+
+def _is_nothing(value: Any) -> bool:
+    return value is None or (isinstance(value, (list, tuple)) and len(value) == 0)
+
+
+def _or(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
