@@ -382,9 +382,11 @@ typedef struct dal_options {
                            beta with moved nodes, linear constraints, no force, nothing that depends
                            on time, and L of second degree in v */
     double eps;         /* 0: none.  Else reversible steps, which exclude the above: each is of
-                           h = eps / rho, with rho a variable that follows how fast the motion
-                           goes, so that the energy does not drift where steps of one size are too
-                           long for close approaches; at most 0.2, see dal_scheme_eps */
+                           h = eps / rho, with rho a variable that follows the rate of the motion,
+                           so that the energy does not drift where steps of one size are too long
+                           for close approaches; at most 0.2, see dal_scheme_eps.  The largest
+                           speed and rate so far are scales of it: until they are found, at the
+                           start and in the first encounters, steps are not reversible */
 } dal_options;
 
 /* What is done with initial data (dal_stepper_start). */
@@ -416,15 +418,17 @@ typedef struct dal_stats {
     size_t corrections;         /* final corrections that took an evaluation of their own */
     size_t full_newtons;        /* sub-steps that the modified Newton handed to the full one; where
                                    all are solved by the full one, that had to start anew */
-    size_t rejected;            /* error-controlled steps that were made again, shorter */
+    size_t rejected;            /* error-controlled or reversible steps that were made again,
+                                   shorter */
     size_t uncontrolled;        /* those that are longer than the tolerance allows, as their
                                    estimated error is roundoff, whatever their length */
     size_t scaled, unscaled;    /* of keep_energy: steps that were made again with scaled
                                    velocities; and that could not be, so that the plain step was
                                    taken, and the energy not kept there; or where states at
                                    events and output times do not have it */
-    size_t resets;              /* of rho to where it belongs, in reversible steps: where there are
-                                   any they are not reversible, eps is too large */
+    size_t resets;              /* of rho to where it belongs, once its scales are known: these
+                                   steps are not reversible, as rho had left the rate of the motion,
+                                   or the step was made again; with a smaller eps there are less */
     size_t halvings;            /* Newton steps halved because a callback left its domain */
     double worst_residual;      /* largest residual, as dal_relative_residual, after any step of
                                    the set that the scheme keeps */

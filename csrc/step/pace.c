@@ -161,12 +161,6 @@ static double error_of(const dal__pace *pace, double estimate, double *beyond)
     return error / fmax(pace->allowed, least);
 }
 
-/* Whether a step failed for a reason that a shorter one would not have. */
-static bool is_final(int status)
-{
-    return status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL;
-}
-
 /* What the estimates of a step and of one of twice the length tell of their roundoff: one that does
  * not grow with h is nothing else, as where coordinates have become large. */
 static void look_at_roundoff(dal__pace *pace, double estimate, double twice)
@@ -221,7 +215,7 @@ static int measure_share(dal_stepper *self, double t, double h, double estimate)
                               ? share : sqrt(share * pace->share);
     }
     dal__go_back(self, &pace->after);
-    return is_final(status) ? status : DAL_SUCCESS;
+    return dal__vary_is_final(status) ? status : DAL_SUCCESS;
 }
 
 /* Whether c is measured after this step, where there is room for another. */
@@ -284,7 +278,7 @@ int dal__pace_step(dal_stepper *self)
         dal__go_back(self, &self->vary.before);
         motion->t0 = t;
         motion->first = motion->steps;
-        if (is_final(status) || (hopeless && status)) return status;
+        if (dal__vary_is_final(status) || (hopeless && status)) return status;
         if (hopeless)
             return dal__fail(motion->error, DAL_ENOCONV, "a step of h = %g has an estimated error "
                              "of %g times what the tolerance %g allows", length, error,

@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 7, OF = 8, FIELDS = 53, HEAD = OF + FIELDS };
+enum { VERSION = 8, OF = 8, FIELDS = 52, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -44,9 +44,8 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.counter = &rank->doubts}, {.real = &creep->count}, {.real = &creep->length},
         {.real = &creep->longest}, {.real = &creep->shortest}, {.real = &creep->t},
         {.real = &creep->mark}, {.counter = &creep->since},
-        {.real = &self->reversible.rho},
-        {.real = &self->reversible.part}, {.real = &self->reversible.floor},
-        {.real = &self->reversible.speed}, {.flag = &self->reversible.by_jerk},
+        {.real = &self->reversible.rho}, {.real = &self->reversible.speed},
+        {.real = &self->reversible.fastest}, {.flag = &self->reversible.settled},
         {.counter = &motion->first}, {.real = &self->pace.seen}, {.real = &self->pace.share},
         {.real = &self->pace.h}, {.real = &self->pace.error},
     };
@@ -176,12 +175,11 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
     if (self->vary.on ? !(first <= steps) : first != 0.0)
         return dal__fail(error, DAL_EINVAL, "values[%d] = %g is not of steps of %s", HEAD - 5,
                          first, self->vary.on ? "sizes that vary" : "one size");
-    const double *const reversible = values + HEAD - 10; /* rho, part, floor, v0^2 */
+    const double *const reversible = values + HEAD - 9; /* rho, v0^2, fastest^2 */
     if (self->reversible.eps > 0.0 && !(reversible[0] > 0.0 && reversible[1] >= 0.0
-                                        && reversible[1] <= 1.0 && reversible[2] > 0.0
-                                        && reversible[3] > 0.0))
+                                        && reversible[2] >= 0.0))
         return dal__fail(error, DAL_EINVAL, "values[%d] = %g and what follows is not of reversible "
-                         "steps", HEAD - 10, reversible[0]);
+                         "steps", HEAD - 9, reversible[0]);
     const size_t of_family = before_family(self);
     if (family->accepts && !family->accepts(self->method, values + of_family))
         return dal__fail(error, DAL_EINVAL, "values[%zu] and what follows is not of the scheme "

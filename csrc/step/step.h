@@ -89,6 +89,8 @@ typedef struct dal__vary {
 int dal__vary_make(dal_stepper *stepper, dal_error *error);
 /* A step of h from t, where the stepper stands; the caller counts it. */
 int dal__vary_step(dal_stepper *stepper, double t, double h);
+/* Whether a step failed for a reason that a shorter one would not have. */
+bool dal__vary_is_final(int status);
 /* The step from t that ends at the time where one is to end. */
 double dal__vary_last(const dal_stepper *stepper, double t);
 
@@ -130,22 +132,17 @@ int dal__scaling_step(dal_stepper *stepper);
 /* Reversible steps (reversible.c); eps = 0: there are none. */
 typedef struct dal__reversible {
     double eps;
-    double rho, part;        /* of the last step, and which part of it was made: 0 at a start */
-    double floor;            /* sigma^2 is at least this */
-    double speed;            /* v0^2, which is added to that of v */
-    bool by_jerk;            /* the monitor is that by the jerk, not that by V_qq */
-    double *frame, *raised;  /* [m*n] the forms at x, orthonormal, and M^-1 times them */
-    double *turned, *scratch; /* [m*n], [n or m*n] the same near x */
-    double *hessian, *scaled; /* [n*n] */
+    double rho;              /* of the next step */
+    double speed, fastest;   /* v0^2, and the square of the largest rate so far */
+    bool settled;            /* rho has come to sigma since the start, or the last reset of x */
     double *field, *away, *there; /* [2n] that at x, a state near it, its field */
-    double *jerk;            /* [n] */
+    double *estimate;        /* [2n] of the error of a step */
 } dal__reversible;
 /* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */
 int dal__reversible_make(dal_stepper *stepper, const dal_options *options, dal_error *error);
-/* begin, a copy of the stepper's, <- that of a start from x[2n] at t, or of a state that the motion
- * has been moved to.  The errors of the callbacks; at a start, DAL_EDOMAIN. */
+/* begin, a copy of the stepper's, <- that of a start from x[2n] at t.  The errors of the callbacks,
+ * DAL_EDOMAIN. */
 int dal__reversible_start(dal_stepper *stepper, double t, const double *x, dal__reversible *begin);
-int dal__reversible_land(dal_stepper *stepper, double t, const double *x, dal__reversible *begin);
 /* As dal__pace_step. */
 int dal__reversible_step(dal_stepper *stepper);
 

@@ -337,14 +337,11 @@ int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
     dal__jump jump = {0};
     int status =
         dal__jump_start(&jump, &stepper->mech, stepper->scheme.order, stepper->jump.shift, x);
-    dal__reversible reversible = stepper->reversible;
-    if (!status && reversible.eps > 0.0)
-        status = dal__reversible_land(stepper, dal_stepper_time(stepper), x, &reversible);
     if (status) {
         stepper->error = stepper->mech.error;
         return status;
     }
-    stepper->reversible = reversible;
+    stepper->reversible.settled = false;
     if (stepper->jump.step == 0) stepper->jump = jump;
     stepper->scaling.energy = kept;
     memcpy(motion->x, x, 2 * stepper->mech.n * sizeof *x);

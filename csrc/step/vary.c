@@ -22,6 +22,11 @@ int dal__vary_step(dal_stepper *self, double t, double h)
     return self->family->advance(self->method, motion, 1, &done);
 }
 
+bool dal__vary_is_final(int status)
+{
+    return status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL;
+}
+
 double dal__vary_last(const dal_stepper *self, double t)
 {
     const double until = self->vary.until, left = until - t;
