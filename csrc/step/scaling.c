@@ -170,12 +170,6 @@ static int make_scaled(dal_stepper *self, double s)
     return status;
 }
 
-/* Whether nothing else may be tried after a failure. */
-static bool is_final(int status)
-{
-    return status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL;
-}
-
 int dal__scaling_step(dal_stepper *self)
 {
     dal_mechanics *const mech = &self->mech;
@@ -199,8 +193,8 @@ int dal__scaling_step(dal_stepper *self)
         self->jump.undone += defect;
         return DAL_SUCCESS;
     }
-    if (possible || is_final(status)) dal__go_back(self, &self->scaling.before);
-    if (is_final(status)) return status;
+    if (possible || dal__vary_is_final(status)) dal__go_back(self, &self->scaling.before);
+    if (dal__vary_is_final(status)) return status;
     stats->unscaled++;
     status = possible ? make(self) : DAL_SUCCESS; /* which is the step that it was */
     if (status) dal__go_back(self, &self->scaling.before);

@@ -86,10 +86,10 @@ def integrate(
         Step size, negative to integrate backwards; it is never changed.  "auto": each step is as
         long as the tolerance allows, by an estimate of its error that costs no evaluation, for
         compositions of moved nodes.  That pays where the motion changes its pace.  "reversible":
-        as long as the pace of the motion allows, in a way that is the same back in time, so that
+        each step follows the rate of the motion, in a way that is the same back in time, so that
         the energy of a reversible motion does not drift.  That pays for close approaches over long
         times, and nowhere else; for symmetric compositions, and systems of constant mass without
-        forces, inputs and time.
+        forces, inputs and time.  A run warns if many of its steps were not reversible.
     t_end : float
         End of the run; ``(t_end - t0) / h`` has to be an integer to 1e-9 of it.  The last of steps
         of many sizes ends there, to the bit.
@@ -134,7 +134,7 @@ def integrate(
     h_max : float, optional
         The longest step of "auto".
     eps : float, optional
-        Of "reversible": a step is eps of the time in which the motion changes, at most 0.2.
+        Step of "reversible", in units of the time in which the motion changes; at most 0.2.
         Default: that of the scheme, 0.17 for bm6.
     inputs : array_like, mapping or callable, optional
         Of the force of a system that takes k of them, constant over a step.  An array, shape
@@ -520,6 +520,12 @@ def doubts(solution: Any) -> Iterator[str]:
             f"{stats.uncontrolled} of {stats.steps} steps are longer than the tolerance allows "
             f"({solution._how}): the estimate of their error is roundoff there, so that the error "
             "is that of a larger tolerance; another scheme may see more"
+        )
+    if stats.resets > 1e-3 * stats.steps:
+        yield (
+            f"{stats.resets} of {stats.steps} steps were not reversible ({solution._how}): the rate "
+            "of the motion changed too fast for them, so they were started anew, and the energy "
+            "may drift; take a smaller eps, or h='auto'"
         )
     simple = system.has_constant_mass and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:

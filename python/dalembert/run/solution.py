@@ -33,14 +33,14 @@ class Statistics:
     corrections : int
         Final corrections onto D that took an evaluation of their own.
     rejected : int
-        Error-controlled steps that were made again, shorter.
+        Error-controlled or reversible steps that were made again, shorter.
     uncontrolled : int
         Those that are longer than the tolerance allows, as their estimated error is roundoff.
     scaled, unscaled : int
         Steps whose energy was kept by scaled velocities, which made them again; and those where it
         could not be kept so, and was not.
     resets : int
-        How often reversible steps had to be told their size anew: then they are not reversible.
+        Steps of "reversible" that are not: the rate of the motion changed too fast for them.
     full_newtons : int
         Sub-steps solved by the full Newton iteration: all of a general system, and those that
         needed the Hessian of V.

@@ -317,13 +317,21 @@ def test_the_energy_of_reversible_steps_does_not_drift(comet):
     change = abs(run.energy - run.energy[0])
     quarter = len(change) // 4
     assert run.scheme.name == "bm6" and run.control == {"h": "reversible", "eps": 0.15}
-    assert change.max() < 3e-8 and change[-quarter:].max() < 1.05 * change[:quarter].max()
-    assert run.stats.resets == 0 and run.residual.max() <= 4 * 3 * U
+    assert change.max() < 2e-7 and change[-quarter:].max() < 1.05 * change[:quarter].max()
+    assert run.stats.resets <= 2 and run.residual.max() <= 4 * 3 * U
     auto = dal.integrate(comet, "bm6", h="auto", tolerance=1e-3, t_end=200 * 2 * np.pi)
     drift = abs(auto.energy - auto.energy[0])
     assert drift[-1] > 3 * drift[len(drift) // 4]  # of a method that is not
     steps = np.diff(run.t)
     assert np.percentile(steps, 98) > 20 * np.percentile(steps, 2)
+
+
+def test_a_run_warns_of_steps_that_are_not_reversible():
+    x = dal.coordinates("x y")[0]
+    flat = dal.System.from_sympy(x.d**2 / 2 - (1 - sympy.cos(x)) ** 2, coordinates=[x])
+    with pytest.warns(dal.DalembertWarning, match="steps were not reversible"):
+        run = dal.integrate(flat, q0=[1e-3], v0=[1.0], h="reversible", t_end=500)
+    assert run.stats.resets > 1e-3 * run.stats.steps
 
 
 def test_reversible_steps_have_all_that_a_run_has(comet, tmp_path):
