@@ -21,9 +21,9 @@
 /* G is a difference of two sigma, in the middles between x and where the motion is after +-REACH h.
  * A shorter way would put roundoff into G, and a much longer one the form of the motion. */
 #define REACH 0x1p-4
-/* This h is eps over the mean of the rho before and after x, found in so many passes: by the step
+/* This h is eps over the mean of the rho before and after x, found in so many passes, as the jerk is: by the step
  * before alone the way back would have another G. */
-enum { PASSES = 2 };
+enum { PASSES = 4 };
 #define LEAST 0.02
 #define SHARE 0.36 /* a rate that crosses 0 then changes by at most half of itself in a step */
 /* With rho / sigma beyond these bounds eps was too large.  For all records it stays in 0.9 to 1.1
@@ -31,10 +31,13 @@ enum { PASSES = 2 };
 #define LOW 0.625
 #define HIGH 1.6
 #define MOST_EPS 0.2
-#define MOST_ERROR 1e-3 /* of a step by its estimate, in units of s */
-#define FIRST_ERROR 1e-5 /* while the scales of the motion are being found */
-#define NEW_SCALE 1.05
-#define FIRST 1e-3      /* the first step, in times that the initial state has */
+/* Of a step by its estimate, in units of s: that of a step of REGULAR times of the motion, or of
+ * MOST_ERROR; and the part of it that is allowed while the scales are being found. */
+#define MOST_ERROR 1e-3
+#define REGULAR 0.25
+#define FIRST_PART 0.01
+#define NEW_SCALE 1.05  /* growth of the square of a scale in a step that makes it so */
+#define FIRST 1e-4      /* the first step, in times that the initial state has */
 enum { ATTEMPTS = 200 };
 
 /* ---- which steps ---------------------------------------------------------------------------- */
@@ -107,9 +110,10 @@ int dal__reversible_make(dal_stepper *self, const dal_options *options, dal_erro
         return dal__fail(error, DAL_EUNSUPPORTED, "reversible steps of \"%s\": it has no estimate "
                          "of its error; compositions of one map have one, as bm6",
                          self->scheme.name);
-    DAL__RESERVE(&self->vary.arena, dal__times(2, n), &of->field, &of->away, &of->there,
+    DAL__RESERVE(&self->vary.arena, dal__times(2, n), &of->field, &of->away, &of->there, &of->jerk,
                  &of->estimate);
     of->eps = options->eps;
+    of->most_error = fmax(MOST_ERROR, pow(REGULAR, q + 1.0));
     return dal__vary_make(self, error);
 }
 
@@ -133,18 +137,19 @@ static int look(dal_stepper *self, double t, double time, double v02, pace *at)
     const size_t n = self->mech.n;
     const double *const x = self->motion.x, *const a0 = of->field + n, *const a1 = of->there + n;
     double *const w = self->mech.w;
-    for (size_t i = 0; i < n; i++) {
+    for (size_t i = 0; i < n; i++) { /* without the jerk v would leave D by more than a difference */
         of->away[i] = x[i] + time * (x[n + i] + 0.5 * time * a0[i]);
-        of->away[n + i] = x[n + i] + time * a0[i];
+        of->away[n + i] = x[n + i] + time * (a0[i] + 0.5 * time * of->jerk[i]);
     }
     const int status = dal_field(&self->mech, t, of->away, of->there);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) w[i] = x[n + i] + 0.5 * time * a0[i];
+    for (size_t i = 0; i < n; i++) w[i] = 0.5 * (x[n + i] + of->away[n + i]);
     at->v2 = square(self, w);
     const double s2 = at->v2 + v02;
     for (size_t i = 0; i < n; i++) w[i] = 0.5 * (a0[i] + a1[i]);
     const double a2 = square(self, w);
     for (size_t i = 0; i < n; i++) w[i] = (a1[i] - a0[i]) / time;
+    dal__add(n, 0.5, w, of->jerk + n);
     at->own2 = hypot(a2 / s2, sqrt(square(self, w) / s2));
     return DAL_SUCCESS;
 }
@@ -154,15 +159,19 @@ static int look(dal_stepper *self, double t, double time, double v02, pace *at)
 static int measure(dal_stepper *self, double t, dal__reversible *after, double *sigma,
                    double *change)
 {
+    const size_t n = self->mech.n;
     double mean = after->rho;
+    dal__clear(2 * n, after->jerk);
     int status = dal_field(&self->mech, t, self->motion.x, after->field);
-    after->speed = fmax(after->speed, square(self, self->motion.x + self->mech.n));
+    after->speed = fmax(after->speed, square(self, self->motion.x + n));
     for (int pass = 0; !status && pass < PASSES; pass++) {
         const double time = REACH * after->eps / mean;
         pace side[2] = {{0}};
         double rate[2];
         for (int k = 0; !status && k < 2; k++)
             status = look(self, t, k ? -time : time, after->speed, &side[k]);
+        dal__copy(n, after->jerk + n, after->jerk);
+        dal__clear(n, after->jerk + n);
         if (after->fastest > 0.0)
             after->fastest = fmax(after->fastest, 0.5 * (side[0].own2 + side[1].own2));
         for (int k = 0; k < 2; k++)
@@ -191,10 +200,10 @@ int dal__reversible_start(dal_stepper *self, double t, const double *x, dal__rev
         return dal__fail(&self->mech.error, DAL_EDOMAIN, "the initial state is at rest and stays "
                          "there: a reversible step has no size");
     const double times[] = {q / v, sqrt(q / a)};
-    double h = 1.0;
+    double h = HUGE_VAL;
     for (size_t i = 0; i < DAL_LENGTH(times); i++)
-        if (times[i] > 0.0 && isfinite(times[i])) h = fmin(h, times[i]);
-    h = fmax(FIRST * h, 0x1p-40 * fabs(t));
+        if (times[i] > 0.0) h = fmin(h, times[i]);
+    h = fmax(FIRST * (isinf(h) ? 1.0 : h), 0x1p-40 * fabs(t));
     begin->rho = begin->eps / h;
     begin->speed = begin->fastest = 0.0;
     begin->settled = false;
@@ -238,7 +247,7 @@ int dal__reversible_step(dal_stepper *self)
         const bool scaled = now.fastest > 0.0;
         const bool learns = !now.settled || after.fastest > NEW_SCALE * now.fastest
                          || after.speed > NEW_SCALE * now.speed;
-        if (!status && error <= (learns ? FIRST_ERROR : MOST_ERROR)
+        if (!status && error <= now.most_error * (learns ? FIRST_PART : 1.0)
             && (!scaled || now.rho >= LOW * sigma)) {
             const double part = last ? fmin(1.0, h / whole) : 1.0;
             double next = now.rho + 0.5 * (part + 1.0) * change;

@@ -132,10 +132,12 @@ int dal__scaling_step(dal_stepper *stepper);
 /* Reversible steps (reversible.c); eps = 0: there are none. */
 typedef struct dal__reversible {
     double eps;
+    double most_error;       /* of a step by its estimate, in units of the speed */
     double rho;              /* of the next step */
     double speed, fastest;   /* v0^2, and the square of the largest rate so far */
     bool settled;            /* rho has come to sigma since the start, or the last reset of x */
     double *field, *away, *there; /* [2n] that at x, a state near it, its field */
+    double *jerk;            /* [2n] of the last look at x, and of this one */
     double *estimate;        /* [2n] of the error of a step */
 } dal__reversible;
 /* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */
