@@ -21,8 +21,8 @@
 /* G is a difference of two sigma, in the middles between x and where the motion is after +-REACH h.
  * A shorter way would put roundoff into G, and a much longer one the form of the motion. */
 #define REACH 0x1p-4
-/* This h is eps over the mean of the rho before and after x, found in so many passes, as the jerk is: by the step
- * before alone the way back would have another G. */
+/* This h is eps over the mean of the rho before and after x, found, as the jerk is, in so many
+ * passes: by the step before alone the way back would have another G. */
 enum { PASSES = 4 };
 #define LEAST 0.02
 #define SHARE 0.36 /* a rate that crosses 0 then changes by at most half of itself in a step */
@@ -137,7 +137,7 @@ static int look(dal_stepper *self, double t, double time, double v02, pace *at)
     const size_t n = self->mech.n;
     const double *const x = self->motion.x, *const a0 = of->field + n, *const a1 = of->there + n;
     double *const w = self->mech.w;
-    for (size_t i = 0; i < n; i++) { /* without the jerk v would leave D by more than a difference */
+    for (size_t i = 0; i < n; i++) { /* without the jerk v leaves D, where a depends on mu */
         of->away[i] = x[i] + time * (x[n + i] + 0.5 * time * a0[i]);
         of->away[n + i] = x[n + i] + time * (a0[i] + 0.5 * time * of->jerk[i]);
     }

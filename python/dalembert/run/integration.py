@@ -523,9 +523,9 @@ def doubts(solution: Any) -> Iterator[str]:
         )
     if stats.resets > 3 + 2e-3 * stats.steps:
         yield (
-            f"{stats.resets} of {stats.steps} steps were not reversible ({solution._how}): the rate "
-            "of the motion changed too fast for them, so they were started anew, and the energy "
-            "may drift; take a smaller eps, or h='auto'"
+            f"{stats.resets} of {stats.steps} steps were not reversible ({solution._how}): the "
+            "rate of the motion changed too fast for them, so they were started anew, and the "
+            "energy may drift; take a smaller eps, or h='auto'"
         )
     simple = system.has_constant_mass and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:

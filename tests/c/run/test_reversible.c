@@ -231,8 +231,8 @@ static void test_invariance(void)
             copy_scales(stepper, &settled);
             for (int k = 0; k < STEPS; k++) {
                 CHECK(dal_step(stepper, NULL) == DAL_SUCCESS);
-                if (mixed && k < 20) /* but for that the states near x lie in D by O(h^3) */
-                    CHECK_NEAR(stepper->reversible.rho / rho[k], 1.0, 1e-2);
+                if (mixed && k < 20) /* but for the states near x, in D by O(h^3) */
+                    CHECK_NEAR(stepper->reversible.rho / rho[k], 1.0, 1e-5);
                 rho[k] = stepper->reversible.rho;
             }
             dal_stepper_free(stepper);
@@ -278,7 +278,7 @@ static void test_motions(void)
         for (size_t i = n; i < 2 * n; i++) x[i] *= cases[c].scale;
         begin_at(stepper, 0.0, 1.0, x);
         CHECK(dal_energy(mechanics, 0.0, x, &E0) == DAL_SUCCESS);
-        CHECK(drift(stepper, mechanics, 100.0, E0, false) < 1e-7 * (1.0 + fabs(E0)));
+        CHECK(drift(stepper, mechanics, 100.0, E0, false) < 2e-7 * (1.0 + fabs(E0)));
         CHECK(stats_of(stepper).resets <= 10); /* in 600 steps and more */
         dal_mechanics_free(mechanics);
         dal_stepper_free(stepper);
