@@ -394,7 +394,8 @@ HOW = """\
   `suzuki4`, `kl6`, `kl8` and `ss10` are those of leapfrog; of midpoint where M depends on q or a
   force on v.  `auto` are steps of controlled error, `h="auto"`; `reversible` and `keep` are
   `h="reversible"`, as its steps were before they had a largest distance, and `energy="keep"`.
-  `reference` is `method="rk8pd"`, `reference taylor` `method="taylor"`, which is heyoka, on the equations that dalembert derives.
+  `reference` is `method="rk8pd"`, `reference taylor`
+  `method="taylor"`, which is heyoka, on the equations that dalembert derives.
 - The energy is followed in stretches of 20 states, each of which is a call that knows nothing of
   those before it.  Methods that only repeat what others show are left out of it.
 - McLachlan and Perlmutter's scheme is `leapfrog`, written another way: the errors are the same.
