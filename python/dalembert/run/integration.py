@@ -521,7 +521,7 @@ def doubts(solution: Any) -> Iterator[str]:
             f"({solution._how}): the estimate of their error is roundoff there, so that the error "
             "is that of a larger tolerance; another scheme may see more"
         )
-    if stats.resets > 3 + 2e-3 * stats.steps:
+    if stats.resets > 10:
         yield (
             f"{stats.resets} of {stats.steps} steps were not reversible ({solution._how}): the "
             "rate of the motion changed too fast for them, so they were started anew, and the "

@@ -330,8 +330,8 @@ def test_a_run_warns_of_steps_that_are_not_reversible():
     x = dal.coordinates("x y")[0]
     flat = dal.System.from_sympy(x.d**2 / 2 - (1 - sympy.cos(x)) ** 2, coordinates=[x])
     with pytest.warns(dal.DalembertWarning, match="steps were not reversible"):
-        run = dal.integrate(flat, q0=[1e-3], v0=[1.0], h="reversible", t_end=500)
-    assert run.stats.resets > 2e-3 * run.stats.steps
+        run = dal.integrate(flat, q0=[1e-3], v0=[2.83], h="reversible", t_end=50)
+    assert run.stats.resets > 10  # it nearly stops at the top of the barrier
 
 
 def test_reversible_steps_have_all_that_a_run_has(comet, tmp_path):
