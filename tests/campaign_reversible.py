@@ -40,7 +40,7 @@ def potential(kind: str, q: list[Any], rng: np.random.Generator) -> Any:
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
     if kind == "encounter":
-        distance = sp.sqrt(q[0] ** 2 + q[1] ** 2 + log(1e-6, 1e-2))
+        distance = sp.sqrt(q[0] ** 2 + q[1] ** 2 + log(1e-4, 1e-2))
         return -1 / distance + log(0.01, 0.1) * sum(a**2 for a in q)
     if kind == "pendulum":
         return sum(log(0.2, 2) * (1 - sp.cos(a)) ** int(rng.choice([1, 2])) for a in q)
@@ -81,7 +81,7 @@ def case(seed: int, k: int) -> tuple[str, dal.System, Any, Any, Any, Any, float]
     elif rng.random() < 0.15:
         speed *= 0
     of_V = sp.lambdify([q], V)
-    t_end = float(np.exp(rng.uniform(np.log(20), np.log(300))))
+    t_end = float(np.exp(rng.uniform(np.log(20), np.log(100))))
     return kind, system, masses, of_V, place, speed, t_end
 
 
@@ -118,7 +118,7 @@ def judge(seed: int, k: int) -> tuple[str, str]:
         warnings.simplefilter("ignore")
         try:
             plain = dal.integrate(system, "leapfrog", q, v, h=t_end / steps, steps=steps,
-                                  consistent="project")  # fmt: skip
+                                  consistent="project", stride=COST)  # fmt: skip
             other = change(plain, masses, of_V)
         except dal.DalembertError:
             other = np.inf
