@@ -230,7 +230,7 @@ static int turn(dal__newton *self)
     return dal__root_step(root, "singular", NULL);
 }
 
-static double moves(const void *ctx) { return ((const turning *)ctx)->moves; }
+static double moves(void *ctx) { return ((turning *)ctx)->moves; }
 
 /* In other units the same is found, in as many iterations.  Far out the steps stop to shrink where
  * they are what the rounding of q makes of them, which has to be told. */
