@@ -84,7 +84,7 @@ static void test_order(const dal_system *system, const dal_scheme *scheme)
 /* It saves nothing of its own: what the stepper keeps is enough. */
 static void test_saved(const dal_system *system, const dal_scheme *scheme)
 {
-    enum { MOST = 64 };
+    enum { MOST = 128 };
     dal_stepper *const one = started(system, scheme, 0.05);
     dal_stepper *const two = started(system, scheme, -0.1);
     double values[MOST];

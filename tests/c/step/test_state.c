@@ -336,7 +336,7 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, KEEPS, EPS, T0, H, TAKEN,
        LOOKING, SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 22,
        FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, UNCONTROLLED, RANK_ROWS = 42, RANK_DOUBTS,
-       SINCE = 50, BY_JERK = 55, BEGUN, SEEN, SHARE, NEXT_H, LAST_ERROR, HEAD };
+       SINCE = 50, SETTLED = 54, BEGUN, SEEN, SHARE, NEXT_H, LAST_ERROR, HEAD };
 
 /* Whether nothing but a refusal will do; the words are those that it has to have. */
 static bool is_hopeless(size_t i, double spoil, char words[32])
@@ -363,7 +363,7 @@ static bool is_hopeless(size_t i, double spoil, char words[32])
         snprintf(words, 32, i == T0 ? "does not change t0" : "h = ");
         return i == T0 ? fabs(spoil) == 1e300 : fabs(spoil) < 1e-300;
     }
-    return (counter || i == LOOKING || i == BY_JERK) && spoil != 0.0;
+    return (counter || i == LOOKING || i == SETTLED) && spoil != 0.0;
 }
 
 /* The stepper at home is saved; every number of it is spoiled in turn and handed to the stepper
