@@ -202,7 +202,7 @@ def _unpack(
     for name, shape in widths.items():
         events = range(about["events"])
         given[name] = tuple(arrays.get(f"{name}_{k}", np.zeros(shape)) for k in events)
-    stats = about["stats"] | {"differenced": tuple(about["stats"]["differenced"])}
+    stats = {k: tuple(v) if isinstance(v, list) else v for k, v in about["stats"].items()}
     return Solution(
         system=system, scheme=scheme, stats=Statistics(**stats),
         **given, **{name: about[name] for name in _NUMBERS},

@@ -170,10 +170,15 @@ def test_drift_has_both_sets_on_log_axes():
     of_eps = {name: np.asarray(line.get_ydata()) for name, line in zip(names, curves)}
 
     def residual(run, shift):
-        """|v_z - (y - shift v_y) v_x| / ((1 + |y - shift v_y|) max_i |v_i|)."""
+        """|v_z - node v_x| / ((1 + |node|) max_i |v_i| + |v_x| (|node| + |shift v_y|)).
+
+        node = y - shift v_y; without a shift the last term is not there.
+        """
         y, (vx, vy, vz) = run.q[:, 1], run.v.T
         node = y - shift * vy
         size = (1 + abs(node)) * abs(run.v).max(axis=1)
+        if shift:
+            size += abs(vx) * (abs(node) + abs(shift * vy))
         return np.maximum(abs(vz - node * vx) / size, 1e-17)
 
     # 2 n u: the residual of three terms, each with its roundoff.
