@@ -1259,7 +1259,7 @@ static void test_judge(void)
         {{1, NAN}, DAL__LOST, 0, false, 0},
     };
     for (size_t i = 0; i < DAL_LENGTH(cases); i++) {
-        dal__progress p = {.scale = 1.0, .moves = told, .ctx = &cases[i].moves,
+        dal__progress p = {.scale = 1.0, .moves = told, .ctx = (void *)&cases[i].moves,
                            .lagging = cases[i].lagging};
         dal__verdict verdict = DAL__GOING;
         for (p.iteration = 1; cases[i].size[p.iteration - 1] != 0.0; p.iteration++) {

@@ -756,7 +756,7 @@ static int scaled_constraint(double t, const double *q, const double *v, double 
 {
     const other_units *const u = ctx;
     const size_t n = u->base->def.n, m = u->base->def.m;
-    double at[MOST_N], along[MOST_N];
+    double at[MOST_N] = {0}, along[MOST_N] = {0};
     to_base(u, q, at);
     to_base(u, v, along);
     const int returned = plain_constraint(t, at, along, phi, phi_v, phi_q, NULL, (void *)u->base);
