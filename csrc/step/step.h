@@ -148,6 +148,55 @@ int dal__reversible_start(dal_stepper *stepper, double t, const double *x, dal__
 /* As dal__pace_step. */
 int dal__reversible_step(dal_stepper *stepper);
 
+/* Steps made again with another h, of the motion where it stands (remake.c). */
+typedef struct dal__remake {
+    dal__place here, there; /* of the motion; of the steps made again, between two calls */
+    dal_stats stats;        /* and the rest of the motion */
+    size_t calls[4], steps;
+    double undone;
+    double *input;          /* [inputs] */
+    dal_watch_fn watch;
+    arena arena;
+} dal__remake;
+int dal__remake_make(dal_stepper *stepper, dal_error *error);
+/* Remembers the motion; as it was. */
+void dal__remake_begin(dal_stepper *stepper);
+void dal__remake_end(dal_stepper *stepper);
+/* Between the two: x[2n] at t, with steps of h; so many steps, and whether they could be made. */
+void dal__remake_start(dal_stepper *stepper, double t, double h, const double *x);
+bool dal__remake_steps(dal_stepper *stepper, size_t steps);
+/* Before an end, to resume after another beginning. */
+void dal__remake_pause(dal_stepper *stepper);
+void dal__remake_resume(dal_stepper *stepper);
+
+/* The estimate of the error of a run (run/guard.c).  Numbers of steps are those of the run. */
+typedef struct dal__guard {
+    const dal_run *run;      /* whose it is */
+    bool on, over;           /* there is an estimate; it is made */
+    bool checking, halved;   /* the run is made again; by steps of h/2 */
+    bool failed;             /* a window could not be made again */
+    double h, elapsed;
+    size_t begin, seen;      /* the first step; when sizes are looked at next */
+    double *low, *high;      /* [2n] */
+    bool open;               /* in a window, */
+    size_t window, next;     /* of so many steps; where it begins */
+    double window_t, *x;     /* [2n] the state there */
+    size_t covered;          /* where the last one ended */
+    double far_q, far_v;     /* the largest sizes there */
+    double *sum, *rate;      /* [2n] errors up to there; in a step of the last window */
+    double *error_of;        /* [2n] of the steps that were made again last */
+    size_t piece;            /* where the piece begins that may be made again, */
+    double piece_t, *from;   /* [2n] its state there; */
+    double *far, *far_sum;   /* [2n] the state after the most steps, the sum there */
+    size_t first, span, at;  /* steps made again: where they begin, how many, how many are done */
+    double t;
+    size_t remade;
+    bool whole;
+    double error;
+} dal__guard;
+/* There is none. */
+void dal__guard_forget(dal_stepper *stepper);
+
 struct dal_stepper {
     dal_motion motion;
     const dal_family *family;
@@ -164,6 +213,8 @@ struct dal_stepper {
     dal__pace pace;
     dal__scaling scaling;
     dal__reversible reversible;
+    dal__remake remake;
+    dal__guard guard;
     bool started;
     dal_error error;
     arena arena;

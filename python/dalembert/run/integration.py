@@ -68,6 +68,7 @@ def integrate(
     t_eval: ArrayLike | None = None,
     journal: str | os.PathLike[str] | None = None,
     journal_errors: str | None = None,
+    check_h: bool = True,
 ) -> Solution:
     """Integrate a system, with steps of one size or of controlled error.
 
@@ -160,6 +161,9 @@ def integrate(
     journal_errors : {"warn", "stop"}, optional
         What a full disk, or a file that vanishes, does: the run goes on without the journal, which
         is the default, or ends with a `JournalError`.
+    check_h : bool, optional
+        False: the error of the state is not estimated, and no warning says that h is too large, as
+        for statistics of a chaotic motion.
 
     Returns
     -------
@@ -189,8 +193,8 @@ def integrate(
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: q0, or the end of the run, is off a position constraint; the
-        energy has jumped where nothing does work, or was not
+        If the result may be doubtful: q0, or the end of the run, is off a position constraint; h is
+        too large; the energy has jumped where nothing does work, or was not
         kept where it was to be, or many steps
         took the full Newton iteration, so that h is large for this system, or its constraints are
         nearly dependent; or if it cannot be told whether an event happens; or if the journal could
@@ -262,6 +266,7 @@ def integrate(
         begin, progress, throw, system, chosen if of_series else record, stepper, steps=sizes,
         stride=stride, observer=observer, inputs=inputs, hold=hold,
         watch=Watch.of(system, stepper, starter, listed, times),
+        check_h=check_h,
     )  # fmt: skip
     idle.append(stepper)
     return solution
@@ -280,6 +285,7 @@ def resume(
     inputs: Any = None,
     events: Any = (),
     journal_errors: str | None = None,
+    check_h: bool = True,
 ) -> Solution:
     """Go on with a run from its journal: bit for bit the run that was never stopped.
 
@@ -296,7 +302,7 @@ def resume(
         End of the whole run, or its number of steps, if it is to be another one.
     scheme : Scheme, optional
         That of the run; needed if it is no scheme of the library.
-    observer, progress, throw, inputs, events, journal_errors : optional
+    observer, progress, throw, inputs, events, journal_errors, check_h : optional
         As of `integrate`; inputs and events of the whole run, if it has any; the expressions of
         inputs have to be the same.
 
@@ -353,7 +359,7 @@ def resume(
     return _make(
         journal.resume, progress, throw, system, record, stepper, steps=sizes, stride=stride,
         observer=observer, inputs=inputs, hold=about["hold"],
-        watch=Watch.of(system, stepper, record, listed, times),
+        watch=Watch.of(system, stepper, record, listed, times), check_h=check_h,
     )  # fmt: skip
 
 
@@ -481,6 +487,9 @@ def _warn_of_drift(solution: Solution) -> None:
         )
 
 
+LARGE_ERROR = 0.04  # of the last state, relative to its size
+
+
 def _at(solution: Any) -> str:
     """Return when the step was after which the energy had jumped, where it is known."""
     if solution.control:
@@ -501,7 +510,14 @@ def doubts(solution: Any) -> Iterator[str]:
             f"the constraint is kept to {stats.worst_residual:.1e} only, not to {bound:.1e}: the "
             "kept nodes lie so far out that their rounding moves it by more"
         )
-    if stats.jump_step:
+    if stats.whole and stats.error > LARGE_ERROR:
+        yield (
+            f"h is too large ({solution._how}): the error of the last state is about "
+            f"{100 * stats.error:.0f} % of its size, as stats.error says. Try h / 2. For "
+            "statistics of a chaotic motion, whose error is always large, turn this estimate off "
+            "by check_h=False"
+        )
+    elif stats.jump_step:
         changed = "would have changed" if stats.scaled else "has changed"
         yield (
             f"the energy {changed} by {stats.jump:.3g} at step {stats.jump_step}"

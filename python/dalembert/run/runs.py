@@ -92,6 +92,7 @@ class Run:
         inputs: Array | Callable[..., Any] | None = None,
         hold: float = 1,
         watch: Watch | None = None,
+        check_h: bool = True,
     ) -> None:
         self.timed = watch is not None and watch.times is not None
         self.system, self.scheme, self.stepper, self.steps = system, scheme, stepper, steps
@@ -111,6 +112,7 @@ class Run:
             run.hold = int(hold)
         self.watching = ffi.new_handle(_within(show, steps))
         run.watch, run.watch_ctx = lib.dal_py_watch, self.watching
+        run.unchecked = not check_h
         rows = _FIRST_ROWS if self.varies else steps.count // stride + 1
         self._allocate(1 if self.timed else rows)
         ffi.memmove(self.x, lib.dal_stepper_state(stepper), 16 * system.n)
@@ -181,13 +183,15 @@ class Run:
                     self.make_room(int(run.stored) + piece // int(run.stride) + 3)
                 began = time.perf_counter()
                 self.status = core.attempt(lib.dal_run_go, run, piece)
+                if self.status >= 0 and isinstance(raised.exception, KeyboardInterrupt):
+                    raise raised.exception  # within steps that are made again, which may fail
                 elapsed = time.perf_counter() - began
                 over = self.is_over
                 if over or began + elapsed - self.shown_at > PIECE_SECONDS:
                     self.tell(began + elapsed)
                 if self.journal is not None:
                     self.journal.tell()
-                if self.status != lib.DAL_SUCCESS or over:
+                if (self.status != lib.DAL_SUCCESS or over) and not run.checks:
                     break
                 piece = max(1, int(piece * min(8.0, PIECE_SECONDS / max(elapsed, 1e-9))))
         except BaseException as error:  # KeyboardInterrupt too: what was computed goes with it
