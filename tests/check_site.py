@@ -26,7 +26,9 @@ import comments  # noqa: E402
 
 ELSEWHERE = {"arxiv.org", "doi.org", "github.com"}
 # A literal of the prose that docs/extensions/names.py has made a link.
-LINKED = re.compile(r'<a [^>]*><code class="docutils literal [^>]*><span class="pre">([^<]*)<')
+LINKED = re.compile(
+    r'<a (?![^>]*nav-link)[^>]*><code class="docutils literal [^>]*><span class="pre">([^<]*)<'
+)
 LOADS = {"script": "src", "img": "src", "link": "href", "source": "src", "iframe": "src"}
 MODULES = ("plot", "report", "pages", "systems")  # whose __all__ is public too
 

@@ -734,7 +734,7 @@ static void test_names(void)
     const chain dragged = {.links = 3, .drag = 0.5}, large = {.links = 4, .unit = 0x1p600};
     const dal_scheme scheme = find_scheme("midpoint");
     for (size_t kind = 0; kind < KINDS; kind++) {
-        double x0[2 * MOST_COORDINATES], C[16] = {0.0}, R1[9], w[9] = {0.0};
+        double x0[2 * MOST_COORDINATES] = {0.0}, C[16] = {0.0}, R1[9], w[9] = {0.0};
         dal_system *system = open_kind(dragged, kind);
         dal_mechanics *mech = open_mechanics(system);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
