@@ -233,7 +233,7 @@ void dal__rank_copy(size_t m, const dal__rank *from, dal__rank *to);
 int dal__rank_look(dal__rank *rank, dal_mechanics *mech, double t, double shift, double least,
                    const double *x);
 
-/* What a stepper keeps of its motion, for whoever makes its steps. */
+/* Guards of a motion, which a stepper shares with its integrator. */
 struct dal__guards {
     dal__rank rank;
     double allowed;         /* pivot: below it the errors of the steps may choose the branch */

@@ -170,7 +170,7 @@ static void look_at_roundoff(dal__pace *pace, double estimate, double twice)
     pace->seen = grows || !small ? 0.5 * pace->seen : fmax(pace->seen, estimate);
 }
 
-/* What the rounding of q' and t makes of velocities, where D is not linear: no h makes an estimate
+/* Change of v by the rounding of q' and t, where D is not linear: no h makes an estimate
  * less.  Whether that was not known. */
 static bool look_at_moves(dal_stepper *self, double t)
 {

@@ -31,7 +31,7 @@ enum { PASSES = 4 };
 #define LOW 0.625
 #define HIGH 1.6
 #define MOST_EPS 0.2
-/* Of a step by its estimate, in units of s: that of a step of REGULAR times of the motion, or of
+/* Largest estimated error of a step, in units of s: of a step of REGULAR times of the motion, or of
  * MOST_ERROR; and the part of it that is allowed while the scales are being found. */
 #define MOST_ERROR 1e-3
 #define REGULAR 0.25

@@ -17,7 +17,7 @@ Progress = bool | Callable[[Any, Any], Any]
 Show = Callable[[Any], Any]
 
 
-# What a module is installed by, where its name is another.
+# Packages on PyPI whose name is not that of their module.
 _PACKAGES = {"PIL": "pillow"}
 
 

@@ -409,7 +409,7 @@ class Chart(core.Constant):
         t : float or array_like, shape (N,), optional
             Time of the states.
         inputs : array_like, shape (k,) or (N, k), or mapping, optional
-            Of the force, or by their names; default 0.
+            Inputs of the force, in order or by name; default 0.
 
         Returns
         -------
@@ -459,7 +459,7 @@ class Chart(core.Constant):
         t : float or array_like, shape (N,), optional
             Time of the states.
         inputs : array_like, shape (k,) or (N, k), or mapping, optional
-            Of the force, or by their names; default 0.
+            Inputs of the force, in order or by name; default 0.
 
         Returns
         -------

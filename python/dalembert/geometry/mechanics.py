@@ -313,7 +313,7 @@ def multipliers(
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Of the force, or by their names; default 0.
+        Inputs of the force, in order or by name; default 0.
 
     Returns
     -------
@@ -390,7 +390,7 @@ def power(
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Of the force, or by their names; default 0.
+        Inputs of the force, in order or by name; default 0.
 
     Returns
     -------
@@ -455,7 +455,7 @@ def acceleration(
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Of the force, or by their names; default 0.
+        Inputs of the force, in order or by name; default 0.
 
     Returns
     -------
@@ -487,7 +487,7 @@ def field(
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Of the force, or by their names; default 0.
+        Inputs of the force, in order or by name; default 0.
 
     Returns
     -------
@@ -534,7 +534,7 @@ def perturbed(
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Of the force, or by their names; default 0.
+        Inputs of the force, in order or by name; default 0.
 
     Returns
     -------
