@@ -99,7 +99,7 @@ def draw(drawn: Any) -> Any:
         below.axhline(1, color="k", ls=":", lw=1)
         below.set(xlabel="t", ylim=(1e-5, 3))
     axes[0, 0].set_ylabel("E(t) - E(0)")
-    axes[1, 0].set_ylabel("|mu v| / (sum |mu_i| norm(v)) / (4 n u)")
+    axes[1, 0].set_ylabel(r"$|\mu v|\, /\, (4 n u \Sigma_i |\mu_i|\, \Vert v\Vert)$")
     return figure
 
 

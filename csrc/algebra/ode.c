@@ -24,6 +24,11 @@ static const double SHORTER = 0.6;
 
 enum { RK8PD_ORDER = 8 };
 
+/* The roundoff of the field is looked at where steps move the state by no more than this part, by
+ * a change of the state by that part of it, so small that the field is linear there; a step may
+ * have an error of so many times the roundoff. */
+static const double SHORT = 0x1p-5, SHIFT = 0x1p-42, NOISE = 4.0;
+
 /* RODAS of order 4 with an embedded method of order 3, L-stable and stiffly accurate, so that it
  * sees the field where a step ends: E. Hairer and G. Wanner, Solving Ordinary Differential
  * Equations II, 2nd edition, IV.7.  Of stage i: where on the step it is; its share of f_t; how the
@@ -66,6 +71,7 @@ struct ode {
     size_t evaluations;
     double *state, *before;                   /* [N] */
     double *slope, *slope_after, *step_error; /* [N] */
+    double *shifted, *noise;                  /* [N] */
     dal__rk8pd rk8pd;
     /* of rodas */
     double *point, *right, *left, *rate;      /* [N]; rate: the derivative of the field by time */
@@ -79,10 +85,12 @@ static const char *const names[] = {[DAL_FLOW_RK8PD] = "rk8pd", [DAL_FLOW_MSADAM
                                     [DAL_FLOW_RODAS] = "rodas"};
 
 /* The error that a step may make of y, relative and absolute. */
+static double tolerated(double level, double y) { return level * fabs(y) + level; }
+
 static int allowed(void *level, double y, double dydt, double h, size_t i, double *error)
 {
     (void)dydt, (void)h, (void)i;
-    *error = *(const double *)level * fabs(y) + *(const double *)level;
+    *error = tolerated(*(const double *)level, y);
     return GSL_SUCCESS;
 }
 
@@ -106,14 +114,16 @@ static int evaluate(double elapsed, const double y[], double dydt[], void *param
     return dal__all_finite(self->N, dydt) ? GSL_SUCCESS : faulty(self, "field", elapsed);
 }
 
-/* The Jacobian of the field at the state by central differences, error O(d^2) + O(u/d). */
-static int difference(ode *self)
+/* The Jacobian of the field at the state by central differences, error O(d^2) + O(u/d), where d is
+ * a part of a number, or of its change in a step of h; what is 0 and stays so has a column of 0,
+ * which next to nothing multiplies. */
+static int difference(ode *self, double h)
 {
     const size_t N = self->N;
     const double *const y = self->state;
     dal__copy(self->N, y, self->point);
     for (size_t j = 0; j < N; j++) {
-        const double d = cbrt(DBL_EPSILON) * (1.0 + fabs(y[j]));
+        const double d = cbrt(DBL_EPSILON) * fmax(fabs(y[j]), fabs(h * self->slope[j]));
         const double above = y[j] + d, below = y[j] - d;
         self->point[j] = above;
         int status = evaluate(self->elapsed, self->point, self->right, self);
@@ -122,7 +132,8 @@ static int difference(ode *self)
         self->point[j] = y[j];
         if (status) return status;
         for (size_t i = 0; i < N; i++)
-            self->jacobian[i * N + j] = (self->right[i] - self->left[i]) / (above - below);
+            self->jacobian[i * N + j] =
+                above > below ? (self->right[i] - self->left[i]) / (above - below) : 0.0;
     }
     self->current = true;
     return GSL_SUCCESS;
@@ -159,7 +170,7 @@ static bool factor(ode *self, double h)
 static int rosenbrock(ode *self, double h)
 {
     const size_t N = self->N;
-    int status = self->current ? GSL_SUCCESS : difference(self);
+    int status = self->current ? GSL_SUCCESS : difference(self, h);
     if (!status) status = differ_in_time(self, h);
     if (!status && !factor(self, h)) status = GSL_ESING;
     for (size_t s = 0; !status && s < STAGES; s++) {
@@ -195,7 +206,8 @@ static void plan(ode *shape, arena *memory)
 {
     const size_t N = shape->N, N2 = dal__times(N, N);
     DAL__RESERVE(memory, N, &shape->state, &shape->before, &shape->slope, &shape->slope_after,
-                 &shape->step_error);
+                 &shape->step_error, &shape->noise);
+    DAL__RESERVE(memory, dal__times(3, N), &shape->shifted);
     if (shape->method == DAL_FLOW_RK8PD) dal__rk8pd_reserve(&shape->rk8pd, N, memory);
     if (shape->method != DAL_FLOW_RODAS) return;
     DAL__RESERVE(memory, N, &shape->point, &shape->right, &shape->left, &shape->rate);
@@ -313,17 +325,57 @@ void dal__ode_suggest(ode *self, double span, double size)
     self->h = copysign(fmin(size, fabs(span)), span);
 }
 
-/* Whether the errors of a step of size h are allowed; self->h <- the size to go on with, for a
- * method of this order. */
-static bool accurate(ode *self, double h, unsigned order)
+/* The largest estimated error of a step of h in units of what it may be, by the tolerance, or by
+ * the noise[N] of the field where that is more. */
+static double worst_error(const ode *self, double h, const double *noise)
 {
     double worst = DBL_MIN;
     for (size_t i = 0; i < self->N; i++) {
-        double most;
-        allowed(&self->level, self->state[i], 0.0, h, i, &most);
-        const double share = fabs(self->step_error[i]) / most;
-        if (share > worst) worst = share;
+        double most = tolerated(self->level, self->state[i]);
+        if (noise) most = fmax(most, fabs(h) * noise[i]);
+        worst = fmax(worst, fabs(self->step_error[i]) / most);
     }
+    return worst;
+}
+
+/* Whether a step of h leads to next to nowhere: steps at a tolerance that the field can keep
+ * seldom do. */
+static bool is_short(const ode *self, double h)
+{
+    for (size_t i = 0; i < self->N; i++)
+        if (fabs(h * self->slope[i]) > SHORT * (1.0 + fabs(self->state[i]))) return false;
+    return true;
+}
+
+/* noise[N] <- the roundoff of the field where a step of h ends, by second differences over so
+ * little that all else is less. */
+static int measure_noise(ode *self, double h)
+{
+    const size_t N = self->N;
+    double *const shifted = self->shifted, *const ahead = shifted + N, *const back = ahead + N;
+    dal__clear(N, self->noise);
+    for (int k = 1; k <= 2; k++) {
+        int status = GSL_SUCCESS;
+        for (int sign = -1; !status && sign <= 1; sign += 2) {
+            for (size_t i = 0; i < N; i++) shifted[i] = self->state[i] * (1.0 + sign * k * SHIFT);
+            status = evaluate(self->elapsed + h, shifted, sign > 0 ? ahead : back, self);
+        }
+        if (status) return status;
+        for (size_t i = 0; i < N; i++) {
+            const double f = self->slope_after[i], bend = (ahead[i] - f) + (back[i] - f);
+            self->noise[i] = fmax(self->noise[i], NOISE * fabs(bend));
+        }
+    }
+    return GSL_SUCCESS;
+}
+
+/* Whether the errors of a step of size h are allowed; self->h <- the size to go on with, for a
+ * method of this order.  No step can be more accurate than its field. */
+static bool accurate(ode *self, double h, unsigned order)
+{
+    double worst = worst_error(self, h, NULL);
+    if (worst > 1.1 && is_short(self, h) && measure_noise(self, h) == GSL_SUCCESS)
+        worst = worst_error(self, h, self->noise);
     if (worst > 1.1) self->h = h * fmax(0.9 / pow(worst, 1.0 / order), 0.2);
     else if (worst < 0.5) { /* a step may have been shorter than suggested, to end somewhere */
         const double size = fabs(h) * fmin(fmax(0.9 / pow(worst, 1.0 / (order + 1.0)), 1.0), 5.0);
@@ -365,9 +417,15 @@ static bool attempt(ode *self, double h)
 
 static int collapsed(const ode *self, double h, dal_error *error)
 {
-    if (self->fault.status) return pass_on(self, error);
+    if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED)
+        return pass_on(self, error);
+    if (self->fault.status)
+        return dal__fail_because(error, self->fault.status, &self->fault,
+                                 "%s: no step leads beyond t = %.17g: ", names[self->method],
+                                 self->t0 + self->elapsed);
     return dal__fail(error, DAL_ENOCONV,
-                     "%s: the step size collapsed to h = %g at t = %.17g (tolerance %g)",
+                     "%s: the step size collapsed to h = %g at t = %.17g (tolerance %g): the field "
+                     "is singular there, as in a collision, or jumps",
                      names[self->method], h, self->t0 + self->elapsed, self->tolerance);
 }
 

@@ -156,6 +156,8 @@ def failure(
     if exception is not None and (refused or status == lib.DAL_EUSER):
         if isinstance(exception, DalembertError) and exception.step is None:
             exception.step, exception.t = step, t
+        if refused and message:
+            exception.add_note(message)
         return exception
     message = message or string(lib.dal_strerror(status))
     exception_type = _EXCEPTIONS.get(status, DalembertError)

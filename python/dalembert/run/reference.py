@@ -60,7 +60,8 @@ def reference(
         Prince-Dormand 8(7), Adams, a Rosenbrock method for stiff potentials; or Taylor series, as
         in `integrate`, in the coordinates x.
     tolerance : float, optional
-        Relative and absolute, for each step, in [4.4e-16, 0.1].
+        Relative and absolute, for each step, in [4.4e-16, 0.1]. Where the roundoff of the field
+        is larger, a step may have an error of that size.
     coordinates : {"x", "xi"}, optional
         Of the ODE: the states (q, v), or those of charts of D (`Chart`), which are changed on the
         way where they become ill conditioned.

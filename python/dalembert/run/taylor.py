@@ -111,7 +111,8 @@ class _Series:
         try:
             rate = geometry.field(system, flow.state[:n], flow.state[n:], t=float(flow.time))
         except DalembertError as error:
-            yield error
+            ends = f"the motion ends between t = {t!r} and {float(flow.time)!r}"
+            yield type(error)(f"method = 'taylor': {ends}: {error}", status=error.status)
             return
         size = np.abs(rate).max() + np.abs(slope).max()
         if not np.abs(slope - rate).max() <= max(1e-6, self.tolerance**0.5) * size:

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -105,6 +106,39 @@ def test_reference_at_rest_beside_a_wall(method):
     assert abs(run.q[-1] - [0.05, 0, 0]).max() < 1e-6  # 10 (0.1)^2/2
     with pytest.raises(dal.DomainError, match="wall"):
         dal.integrate(system, flow, [0, 0, 0], [0, 0, 0], h=0.7, steps=1)
+
+
+@pytest.mark.parametrize("method", ["rk8pd", "msadams", "rodas"])
+@pytest.mark.parametrize("raises", [False, True])
+def test_reference_says_where_the_field_ends(method, raises):
+    """x = sin t, as far as x = 0.7."""
+
+    def gradient(q):
+        if raises and q[0] > 0.7:
+            raise dal.DomainError("outside")
+        return q if q[0] <= 0.7 else q * np.nan
+
+    system = dal.System(mass=[1], potential=lambda q: q[0] ** 2 / 2, gradient=gradient, n=1, m=0)
+    for call, given in ((dal.integrate, {"scheme": "reference", "h": 5, "steps": 1}),
+                        (dal.reference, {"t": 5})):  # fmt: skip
+        with pytest.raises(dal.DomainError) as caught:
+            call(system, q0=[0], v0=[1], method=method, **given)
+        text = "\n".join([str(caught.value), *getattr(caught.value, "__notes__", [])])
+        t = float(re.search("no step leads beyond t = ([^:]*):", text)[1])
+        assert abs(t - np.arcsin(0.7)) < 1e-4
+        assert ("outside" if raises else "gradient[0] = nan") in text
+
+
+@pytest.mark.parametrize("method", ["rk8pd", "msadams"])
+def test_reference_of_a_disc_that_falls_nearly_flat(method):
+    """There the roundoff of its field is 1e10 times the tolerance."""
+    disc = dal.systems.rolling_disc()
+    run = dal.integrate(
+        disc, "reference", [0, 0, 0.3, 0.6345, 0], [0, 0, -0.00362, 0.163, 0], h=0.8, steps=1,
+        consistent="project", method=method,
+    )  # fmt: skip
+    assert run.stats.evaluations < 1e5
+    assert abs(run.energy - run.energy[0]).max() < 1e-7
 
 
 def test_flow_has_a_method_and_a_tolerance():

@@ -239,7 +239,10 @@ def test_scheme_of_its_own():
     "system, q0, v0, kind, words",
     [
         (bent_root(sp.Rational(1, 2)), [1, 0], [-1, 0], dal.DomainError, "no Taylor series"),
-        (bent_root(sp.Rational(5, 2)), [1, 0], [-2, 0], dal.DomainError, "gradient"),
+        (
+            bent_root(sp.Rational(5, 2)), [1, 0], [-2, 0],
+            dal.DomainError, "the motion ends between t = .* gradient",
+        ),
         (bent_root(-1), [-1, 0], [1, 0], dal.DomainError, "not finite beyond t = 0.57079632"),
         (
             dal.System.from_sympy((x.d**2 + y.d**2) / 2, [], force={x: -1 / x}),
