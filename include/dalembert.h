@@ -353,7 +353,7 @@ DAL_API int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *s
  * DAL_EUNSUPPORTED for a record with several. */
 DAL_API int dal_scheme_shift(const dal_scheme *scheme, double *shift);
 
-/* *eps <- one for reversible steps (dal_options) of scheme: 1 / sum_j |fraction_j| of its
+/* *eps <- one for reversible steps (dal_options) of scheme: 0.8 / sum_j |fraction_j| of its
  * sub-steps, at most 0.2.
  * DAL_EUNSUPPORTED unless it is a composition that is its own adjoint, read backwards, of more than
  * two sub-steps, with moved nodes: as bm6, leapfrog-kl8. */

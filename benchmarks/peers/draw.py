@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 OURS = ("leapfrog", "midpoint", "suzuki4", "bm4", "kl6", "bm6", "kl8", "ss10", "kl8 auto",
-        "ss10 auto", "bm6 auto", "bm6 reversible", "midpoint keep", "kl8 keep",
-        "reference", "reference taylor")  # fmt: skip
+        "ss10 auto", "bm6 auto", "midpoint keep", "kl8 keep", "reference",
+        "reference taylor")  # fmt: skip
 FLOWS = ("reference", "reference taylor")  # the rest are steps of dalembert itself
 KEEP = ("midpoint keep", "kl8 keep")
 IN_D = ("heyoka in D", "GSL rk8pd in D")
@@ -34,7 +34,6 @@ NAVY = "#0B2F6B"
 STYLES = {
     "leapfrog": (BLUE, ":", "o"), "bm6": (BLUE, "--", "s"), "ss10": (BLUE, "-", "o"),
     "kl8": (NAVY, "-", "D"), "kl8 auto": (NAVY, "--", "^"), "kl8 keep": (NAVY, ":", "D"),
-    "bm6 reversible": (BLUE, "-.", "s"),
     "reference": (SKY, "-", "v"), "reference taylor": (SKY, "--", "^"),
     "heyoka": (RED, "--", "^"), "heyoka in D": (RED, "-", "^"),
     "GSL rk8pd": (ORANGE, "--", "v"), "GSL rk8pd in D": (ORANGE, "-", "v"),
@@ -392,8 +391,7 @@ HOW = """\
   `TrapezoidalIndex2` and a constraint on the level of velocities, whose functions are called in
   Python; the schemes of odelab are written anew from their papers and compiled by numba.
   `suzuki4`, `kl6`, `kl8` and `ss10` are those of leapfrog; of midpoint where M depends on q or a
-  force on v.  `auto` are steps of controlled error, `h="auto"`; `reversible` and `keep` are
-  `h="reversible"`, as its steps were before they had a largest distance, and `energy="keep"`.
+  force on v.  `auto` are steps of controlled error, `h="auto"`; `keep` is `energy="keep"`.
   `reference` is `method="rk8pd"`, `reference taylor`
   `method="taylor"`, which is heyoka, on the equations that dalembert derives.
 - The energy is followed in stretches of 20 states, each of which is a call that knows nothing of

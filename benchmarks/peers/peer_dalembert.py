@@ -60,12 +60,13 @@ def methods(problem: Problem) -> Iterator[Method | Refused]:
 
         return solve
 
-    def chosen(scheme: str, h: str, setting: str) -> Solve:
+    def controlled(scheme: str) -> Solve:
         """Return a solver whose steps have the sizes that the library chooses."""
 
-        def solve(value: float, state: np.ndarray, times: np.ndarray) -> np.ndarray:
+        def solve(tolerance: float, state: np.ndarray, times: np.ndarray) -> np.ndarray:
             rows = {"stride": 10**9} if len(times) == 2 else {"t_eval": times[1:]}
-            found = run(scheme, state, times, h=h, t_end=times[-1], **{setting: value}, **rows)
+            found = run(scheme, state, times, h="auto", t_end=times[-1], tolerance=tolerance,
+                        **rows)  # fmt: skip
             return np.hstack([found.q, found.v])[1 - len(times) :]
 
         return solve
@@ -86,14 +87,9 @@ def methods(problem: Problem) -> Iterator[Method | Refused]:
         yield Method(name, "steps", settings, fixed(record), compiled[0], order,
                      long=name in long)  # fmt: skip
     for name in ("kl8", "ss10"):
-        yield Method(f"{name} auto", "tolerance", TOLERANCES,
-                     chosen(f"{base}-{name}", "auto", "tolerance"), compiled[0],
-                     long=name == "kl8")  # fmt: skip
-    yield Method("bm6 auto", "tolerance", TOLERANCES, chosen("bm6", "auto", "tolerance"),
-                 compiled[0], long=False)  # fmt: skip
-    if problem.pace > 1:
-        yield Method("bm6 reversible", "eps", (0.2, 0.15, 0.1, 0.07, 0.05, 0.035, 0.025),
-                     chosen("bm6", "reversible", "eps"), compiled[0])  # fmt: skip
+        yield Method(f"{name} auto", "tolerance", TOLERANCES, controlled(f"{base}-{name}"),
+                     compiled[0], long=name == "kl8")  # fmt: skip
+    yield Method("bm6 auto", "tolerance", TOLERANCES, controlled("bm6"), compiled[0], long=False)
     if not problem.reversible:
         yield Method("kl8 keep", "steps", (60, 80, *STEPS["kl8"][1]),
                      fixed(f"{base}-kl8", energy="keep"), compiled[0], 8)  # fmt: skip

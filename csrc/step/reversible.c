@@ -31,11 +31,13 @@ enum { PASSES = 4 };
 #define LOW 0.625
 #define HIGH 1.6
 #define MOST_EPS 0.2
+#define USUAL 0.8 /* of 1 over the sum of the sizes of the sub-steps: the energy is kept to 1e-6 */
 /* Largest estimated error of a step, in units of s: of a step of REGULAR times of the motion, or of
  * MOST_ERROR; and the part of it that is allowed while the scales are being found. */
 #define MOST_ERROR 1e-3
 #define REGULAR 0.25
 #define FIRST_PART 0.01
+#define ROUNDOFF 64.0   /* of an estimate: so many u times the sum of its weights, as in pace.c */
 #define NEW_SCALE 1.05  /* growth of the square of a scale in a step that makes it so */
 #define FIRST 1e-4      /* the first step, in times that the initial state has */
 enum { ATTEMPTS = 200 };
@@ -67,7 +69,7 @@ int dal_scheme_eps(const dal_scheme *scheme, double *eps, dal_error *error)
                          "pair of sub-steps costs less than to find its size", scheme->name);
     double sum = 0.0;
     for (size_t j = 0; j < count; j++) sum += fabs(dal__scheme_substep(scheme, j).fraction);
-    *eps = fmin(MOST_EPS, 1.0 / sum);
+    *eps = fmin(MOST_EPS, USUAL / sum);
     return DAL_SUCCESS;
 }
 
@@ -114,6 +116,7 @@ int dal__reversible_make(dal_stepper *self, const dal_options *options, dal_erro
                  &of->estimate);
     of->eps = options->eps;
     of->most_error = fmax(MOST_ERROR, pow(REGULAR, q + 1.0));
+    of->noise = noise * ROUNDOFF * DAL_ROUNDOFF;
     return dal__vary_make(self, error);
 }
 
@@ -210,7 +213,8 @@ int dal__reversible_start(dal_stepper *self, double t, const double *x, dal__rev
     return DAL_SUCCESS;
 }
 
-/* One step of h from t; *error <- its size, *after, *sigma and *change as in measure. */
+/* One step of h from t; *error <- its size beyond roundoff, *after, *sigma and *change as in
+ * measure. */
 static int attempt(dal_stepper *self, double t, double h, double *error, dal__reversible *after,
                    double *sigma, double *change)
 {
@@ -220,6 +224,10 @@ static int attempt(dal_stepper *self, double t, double h, double *error, dal__re
     motion->estimate = NULL;
     if (!status) status = measure(self, t, after, sigma, change);
     if (status) return status;
+    for (size_t i = 0; i < 2 * self->mech.n; i++) {
+        const double size = fabs(after->estimate[i]) - after->noise * fabs(motion->x[i]);
+        after->estimate[i] = copysign(fmax(size, 0.0), after->estimate[i]);
+    }
     const double q2 = square(self, after->estimate) / (h * h);
     const double v2 = square(self, after->estimate + self->mech.n);
     *error = sqrt(fmax(q2, v2) / after->speed);
@@ -249,8 +257,8 @@ int dal__reversible_step(dal_stepper *self)
                          || after.speed > NEW_SCALE * now.speed;
         if (!status && error <= now.most_error * (learns ? FIRST_PART : 1.0)
             && (!scaled || now.rho >= LOW * sigma)) {
-            const double part = last ? fmin(1.0, h / whole) : 1.0;
-            double next = now.rho + 0.5 * (part + 1.0) * change;
+            const double part = last ? fmin(1.0, h / whole) : 1.0; /* rho is of the middle */
+            double next = now.rho + part * change;
             const bool lost = !(next >= LOW * sigma && next <= HIGH * sigma);
             if (lost || learns) {
                 next = scaled ? sigma + 0.5 * change : 0.0;

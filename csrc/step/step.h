@@ -133,6 +133,7 @@ int dal__scaling_step(dal_stepper *stepper);
 typedef struct dal__reversible {
     double eps;
     double most_error;       /* of a step by its estimate, in units of the speed */
+    double noise;            /* roundoff of the estimate, in units of that of a state */
     double rho;              /* of the next step */
     double speed, fastest;   /* v0^2, and the square of the largest rate so far */
     bool settled;            /* rho has come to sigma since the start, or the last reset of x */

@@ -1,6 +1,7 @@
 """Steps of many sizes: how accurate, where they end, and all that a run may have."""
 
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -326,12 +327,50 @@ def test_the_energy_of_reversible_steps_does_not_drift(comet):
     assert np.percentile(steps, 98) > 20 * np.percentile(steps, 2)
 
 
-def test_a_run_warns_of_steps_that_are_not_reversible():
+def drift_of(energy, run):
+    """The largest change of an energy in units of the largest kinetic energy, for masses 1."""
+    return abs(energy - energy[0]).max() / (run.v**2).sum(axis=1).max() * 2
+
+
+@pytest.mark.parametrize("offset", [0, 10**11])
+def test_the_energy_decides_whether_reversible_steps_are_warned_of(offset):
+    # with an offset the roundoff of run.energy is 4e-6 of the kinetic energy
     x = dal.coordinates("x y")[0]
-    flat = dal.System.from_sympy(x.d**2 / 2 - (1 - sympy.cos(x)) ** 2, coordinates=[x])
-    with pytest.warns(dal.DalembertWarning, match="steps were not reversible"):
-        run = dal.integrate(flat, q0=[1e-3], v0=[2.83], h="reversible", t_end=50)
-    assert run.stats.resets > 10  # it nearly stops at the top of the barrier
+    system = dal.System.from_sympy(
+        x.d**2 / 2 - (1 - sympy.cos(x)) ** 2 - offset, coordinates=[x], q0=[1e-3], v0=[2.82]
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = dal.integrate(system, h="reversible", t_end=50)
+    assert run.stats.resets > 10  # at the top of the barrier, where the motion nearly stops
+    assert drift_of(run.v[:, 0] ** 2 / 2 + (1 - np.cos(run.q[:, 0])) ** 2, run) < 1e-6
+    if not offset:
+        with pytest.warns(dal.DalembertWarning, match="steps were not reversible") as said:
+            run = dal.integrate(system, "bm4", h="reversible", t_end=50)
+        drift = drift_of(run.v[:, 0] ** 2 / 2 + (1 - np.cos(run.q[:, 0])) ** 2, run)
+        assert drift > 1e-5 and f"changed by {drift:.1e} of" in str(said[0].message)
+
+
+def test_an_energy_that_comes_and_goes_is_not_warned_of(comet):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = dal.integrate(comet, "bm4", h="reversible", eps=0.2, t_end=100)
+    assert 0 < run.stats.resets <= 10 and drift_of(run.energy, run) > 3e-6
+
+
+def test_an_energy_that_is_lost_in_the_first_encounter_is_warned_of():
+    x, y = dal.coordinates("x y")
+    walls = sum(sympy.exp(k * (a - 1)) + sympy.exp(-k * (a + 1)) for k, a in ((100, x), (5, y)))
+    box = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - walls - 3 * x**2 * y**2 / 10)
+    with pytest.warns(dal.DalembertWarning, match="changed by 1.3e-05 of .* first encounters"):
+        run = dal.integrate(
+            box, q0=[-0.28, 0.68], v0=[1.9, 1.88], h="reversible", eps=0.2, t_end=10
+        )
+    assert run.stats.resets <= 10
+    q, energy = run.q, (run.v**2).sum(axis=1) / 2 + 0.3 * (run.q**2).prod(axis=1)
+    for i, k in ((0, 100), (1, 5)):
+        energy += np.exp(k * (q[:, i] - 1)) + np.exp(-k * (q[:, i] + 1))
+    assert abs(drift_of(energy, run) / 1.3e-5 - 1) < 0.05
 
 
 def test_reversible_steps_have_all_that_a_run_has(comet, tmp_path):
