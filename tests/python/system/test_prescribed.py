@@ -91,6 +91,21 @@ def test_prescribed_motion(scheme, h, error):
         np.testing.assert_allclose(run.reactions[half], Led.multipliers(t, q, 0.7), atol=near)
 
 
+def test_projected_nodes_are_those_of_a_motion_whose_time_is_that_of_its_moved_nodes():
+    """q - h/2 v starts at t = 0, as if the node stood at h/2: of order 1, and of order 2 so seen."""
+    for h in (0.02, 0.01):
+        moved = Q0
+        for _ in range(60):
+            moved = Q0 - h / 2 * Led.velocity(0, moved)
+        end = solve_ivp(Led.velocity, (0, 1), moved, method="DOP853", rtol=1e-13, atol=1e-14)
+        node = end.y[:, -1] + h / 2 * Led.velocity(1, end.y[:, -1])
+        run = dal.integrate(
+            Led.system, "midpoint-nodes", Q0, Led.velocity(0, Q0), h=h, t_end=1, initial="project"
+        )
+        np.testing.assert_allclose(run.q[-1], node, atol=0.3 * h**2)
+        assert 0.1 * h < abs(run.q[-1] - Led.position(1)).max() < 0.3 * h
+
+
 def test_all_ways_to_run():
     v0 = Led.velocity(0, Q0)
     run = dal.integrate(Led.system, "midpoint-kl6", Q0, v0, h="auto", t_end=1)
