@@ -129,6 +129,19 @@ def test_reference_says_where_the_field_ends(method, raises):
         assert ("outside" if raises else "gradient[0] = nan") in text
 
 
+@pytest.mark.parametrize("method", ["rk8pd", "msadams", "rodas"])
+def test_reference_of_a_coordinate_of_1e30(method):
+    """x = 1e30 cos t, y = sin 2 t."""
+    springs = dal.System(
+        mass=[1, 1], potential=lambda q: q[0] ** 2 / 2 + 2 * q[1] ** 2, n=2, m=0,
+        gradient=lambda q: q * [1, 4], hessian=lambda q: np.diag([1, 4]),
+    )  # fmt: skip
+    flow = dal.Scheme.flow(method, 1e-9)
+    run = dal.integrate(springs, flow, [1e30, 0], [0, 2], h=3, steps=1)
+    assert run.stats.evaluations < 2e4
+    np.testing.assert_allclose(run.q[-1], [1e30 * np.cos(3), np.sin(6)], rtol=1e-6)
+
+
 @pytest.mark.parametrize("method", ["rk8pd", "msadams"])
 def test_reference_of_a_disc_that_falls_nearly_flat(method):
     """There the roundoff of its field is 1e10 times the tolerance."""
