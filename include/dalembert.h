@@ -107,6 +107,11 @@ typedef int (*dal_potential_fn)(double t, const double *q, double *V, double *V_
 typedef int (*dal_constraint_fn)(double t, const double *q, const double *v, double *phi,
                                  double *phi_v, double *phi_q, double *phi_t, void *ctx);
 
+/* A constraint that depends on inputs u[inputs] as well, such as v - u = 0.  They are constant over
+ * a step; where they change D does, and v jumps: see dal_stepper_input. */
+typedef int (*dal_driven_fn)(double t, const double *q, const double *v, const double *u,
+                             double *phi, double *phi_v, double *phi_q, double *phi_t, void *ctx);
+
 /* A general normal Lagrangian, L_vv positive definite: L; L_q[n]; L_v[n]; L_qq[n*n]; L_vq[i*n+j] =
  * d2L/dv_i dq_j; L_vv[n*n]; L_vt[n] = d2L/dv_i dt. */
 typedef int (*dal_lagrangian_fn)(double t, const double *q, const double *v, double *L, double *L_q,
@@ -180,7 +185,8 @@ typedef struct dal_system_def {
     const double *masses;           /* [n] of a diagonal M, instead of mass; or NULL */
     dal_lagrangian_fn lagrangian;   /* instead of mass and potential; or NULL */
     dal_potential_fn potential;     /* or NULL: V = 0 */
-    dal_constraint_fn constraint;   /* NULL if and only if m = 0 */
+    dal_constraint_fn constraint;   /* NULL if m = 0; else this or */
+    dal_driven_fn driven;           /* one that depends on inputs */
     dal_constraint_kind kind;
     const dal_sparsity *sparsity;   /* or NULL: all entries may be other than 0.  With it steps take
                                        time and memory in proportion to n where there are masses,
@@ -189,7 +195,7 @@ typedef struct dal_system_def {
                                        converge without, where all are given and n <= 500; else h
                                        has to resolve what V and f make oscillate or decay */
     dal_force_fn force;             /* or NULL: none */
-    size_t inputs;                  /* of the force: motors, steering, ... */
+    size_t inputs;                  /* of the force and of driven: motors, steering, ... */
     unsigned missing;               /* sum of dal_missing */
     void *ctx;
     const char *name;               /* or NULL: "system".  What follows may all be left out */
@@ -262,6 +268,7 @@ DAL_API int dal_system_mass(const dal_system *system, double *M);
 DAL_API const dal_sparsity *dal_system_sparsity(const dal_system *system);
 DAL_API dal_constraint_kind dal_system_kind(const dal_system *system);
 DAL_API int dal_system_is_forced(const dal_system *system); /* 1: there is a generalized force */
+DAL_API int dal_system_is_driven(const dal_system *system); /* 1: constraints depend on inputs */
 DAL_API int dal_system_is_time_dependent(const dal_system *system); /* as of the definition */
 
 /* Parameters of a built-in system; a system of the user's own has none. */
@@ -485,9 +492,14 @@ DAL_API const dal_error *dal_stepper_error(const dal_stepper *stepper);
 DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
                               dal_consistency consistency, dal_initial initial);
 
-/* The inputs of the force are u[inputs] in the steps that follow, until they are changed again; 0
+/* The inputs are u[inputs] in the steps that follow, until they are changed again; 0
  * in a new stepper.  Constant over a step (a zero-order hold), they cost no scheme its order.  A
  * change costs one evaluation of the force, which the predictor of the next step may see.
+ * Where constraints depend on them they are also those of a start, in whose D the data lie; and
+ * the step after a change begins with a jump, as at an impact: v <- the velocity of the new D on
+ * v + M^-1 mu^T R^m (dal_project).  Its impulse counts as one of the step.  The state stays in the
+ * old D until then.  Kept nodes, reversible steps and keep_energy are DAL_EUNSUPPORTED there; if L
+ * is not of second degree in v dal_stepper_start is.
  * DAL_EINVAL (NULL, not finite), and the stepper is as it was. */
 DAL_API int dal_stepper_input(dal_stepper *stepper, const double *u);
 
@@ -549,7 +561,8 @@ typedef struct dal_run {
     size_t steps, stride;   /* every stride-th state is stored; steps is a multiple of stride */
     double *x;              /* [(steps/stride + 1)*2n] or NULL: the states, row 0 where it begins */
     double *reactions;      /* [(steps/stride)*m] or NULL: the mean reaction over each interval,
-                               which belongs to its middle; NaN for a scheme without multipliers */
+                               which belongs to its middle, with the impulses of jumps; NaN for a
+                               scheme without multipliers */
     double *inputs;         /* [ceil(steps/hold)*inputs] or NULL: row k has those of the steps
                                k hold, ..., (k+1) hold - 1 of the run; NULL: as the stepper has */
     size_t hold;            /* 0 is 1 */
@@ -573,7 +586,9 @@ typedef struct dal_run {
     double *row_times;      /* of steps whose size varies, or NULL: the times of the rows of x */
     double t_begin, row_time; /* theirs, set by the run: where it began; of the last row, */
     size_t row_step;          /* its step; */
-    size_t handed, row_inputs; /* rows of inputs that were handed over, and before that row */
+    size_t handed, row_inputs; /* rows of inputs that were handed over, and before that row; for
+                               a stepper that has the first row already the caller may set handed
+                               to 1: control is not asked for it */
     size_t done;            /* steps made */
     size_t stored;          /* rows of x that are valid */
     size_t timed;           /* rows of at that are valid */

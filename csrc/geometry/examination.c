@@ -430,10 +430,9 @@ static void weigh(const examination *ex, size_t a, const double *v, double *sum,
 /* phi of linear constraints, where the callback gives it, is mu v. */
 static int examine_linear(examination *ex)
 {
-    const dal_system_def *const def = &ex->system->def;
     dal__forget(ex->m, ex->phi);
-    const int returned = def->constraint(ex->t, ex->q, ex->other, ex->phi, ex->forms, NULL,
-                                         NULL, def->ctx);
+    const int returned = dal__call_constraint(&ex->mech.eval, ex->t, ex->q, ex->other, ex->phi,
+                                              ex->forms, NULL, NULL);
     if (returned)
         return dal__fail(&ex->mech.error, dal__callback_status(returned), "constraint returned %d "
                          "when phi was asked for", returned);
@@ -709,12 +708,16 @@ static int examine_constraint(examination *ex)
     if (!status) status = examine_sparsity(ex);
     if (!status) status = examine_rank(ex);
     bool consistent = true;
+    /* where no inputs are given they are 0 */
+    if (ex->system->def.driven) dal__clear(ex->system->def.inputs, ex->mech.eval.own_input);
     if (!status && found->mass_min > 0.0) /* else there is no metric to measure in */
         status = dal__lies_in_D(&ex->mech, ex->t, 0.0, ex->x, &found->residual, &consistent);
-    if (!status && linear && found->rank == ex->m) status = examine_involutivity(ex);
+    if (!status && linear && !ex->system->def.driven && found->rank == ex->m)
+        status = examine_involutivity(ex);
     if (!status && !consistent)
-        dal__fail(open_finding(ex), DAL_EINVAL, "(q, v) is not in D: the residual is %.3g, more "
-                  "than roundoff and %g of the terms of %s", found->residual, DAL_CONSISTENT,
+        dal__fail(open_finding(ex), DAL_EINVAL, "(q, v) is not in D%s: the residual is %.3g, more "
+                  "than roundoff and %g of the terms of %s",
+                  ex->system->def.driven ? " with inputs 0" : "", found->residual, DAL_CONSISTENT,
                   linear ? "mu v" : "phi");
     return status;
 }
@@ -739,7 +742,9 @@ static void summarize(const examination *ex, dal_error *summary)
         dal__fail(summary, DAL_SUCCESS, "%s; no constraints", agree);
         return;
     }
-    if (ex->system->def.kind != DAL_LINEAR)
+    if (ex->system->def.driven && ex->system->def.kind == DAL_LINEAR)
+        snprintf(shape, sizeof shape, "D changes with the inputs");
+    else if (ex->system->def.kind != DAL_LINEAR)
         snprintf(shape, sizeof shape, "the constraints are %s in v%s",
                  ex->system->def.kind == DAL_AFFINE ? "affine" : "nonlinear", ex->n == ex->m
                  ? " and as many as coordinates: they prescribe the velocity" : "");

@@ -207,6 +207,8 @@ int dal__forms_at(dal_mechanics *mech, double t, double shift, const double *x, 
  * within its bound.  DAL_ESINGULAR. */
 int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double *x,
               double *relative);
+/* impulse[m] += that of a change[n] of v, M change = mu^T impulse, just made by dal_project. */
+void dal__add_impulse_of(dal_mechanics *mech, const double *change, double *impulse);
 /* dal_trajectory of rows that belong to the times t0 + (first + k) h. */
 int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, double shift,
                     size_t count, const double *x, const double *inputs, double *energy,

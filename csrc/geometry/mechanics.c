@@ -765,6 +765,15 @@ int dal_project(dal_mechanics *mech, double t, double shift, double *x, double *
     return move_velocity(mech, t, shift, x, distance);
 }
 
+void dal__add_impulse_of(dal_mechanics *mech, const double *change, double *impulse)
+{
+    double *const along = mech->forms.phi;
+    for (size_t a = 0; a < mech->m; a++)
+        along[a] = dal__row_dot(mech, mech->forms.mu, a, change);
+    dal__linear_solve(&mech->gram.C, along, along);
+    dal__add(mech->m, 1.0, along, impulse);
+}
+
 /* Z <- the directions in which the free components alone may move, [M_ff^-1 mu_f^T, 0]: those of
  * the saddle point system of min (w-v)^T M (w-v) with mu w = 0 and w_i = v_i for the kept i. */
 static size_t form_free_Z(dal_mechanics *mech, const unsigned char *keep)
@@ -815,16 +824,15 @@ int dal_consistent(dal_mechanics *mech, double t, const unsigned char *keep, dou
 
 /* ---- many states ------------------------------------------------------------------------- */
 
-/* With these inputs, or those that are set for NULL. */
-static int solve_with_inputs(dal_mechanics *mech, double t, const double *x, const double *u)
+/* *E, lambda, and phi with *worst, each where it is wanted. */
+static int evaluate_row(dal_mechanics *mech, double t, double shift, const double *x, double *E,
+                        bool lambda, double *worst)
 {
-    evaluator *const e = &mech->eval;
-    if (!u) return solve_multipliers(mech, "x", x, t, x);
-    int status = DAL__REQUIRE_FINITE(&mech->error, {"inputs", e->system->def.inputs, u});
-    if (status) return status;
-    e->input = u;
-    status = solve_multipliers(mech, "x", x, t, x);
-    e->input = e->own_input;
+    bool consistent;
+    int status = require(mech, "x", x, shift, t, x);
+    if (!status && E) status = dal_energy(mech, t, x, E);
+    if (!status && lambda) status = solve_multipliers(mech, "x", x, t, x);
+    if (!status && worst) status = dal__lies_in_D(mech, t, shift, x, worst, &consistent);
     return status;
 }
 
@@ -835,16 +843,19 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
     if (done) *done = 0;
     if (!mech) return DAL_EINVAL;
     const size_t n = mech->n, m = mech->m, width = mech->eval.system->def.inputs;
+    evaluator *const e = &mech->eval;
+    const bool measured = residual || relative;
+    const bool acting = inputs && (multipliers || (measured && e->system->def.driven));
     for (size_t k = 0; k < count; k++, x += 2 * n) {
         const double t = t0 + (double)(first + k) * h;
         double E = 0.0, worst = 0.0;
-        bool consistent;
-        int status = require(mech, "x", x, shift, t, x);
-        if (!status && energy) status = dal_energy(mech, t, x, &E);
-        if (!status && multipliers)
-            status = solve_with_inputs(mech, t, x, inputs ? inputs + k * width : NULL);
-        if (!status && (residual || relative))
-            status = dal__lies_in_D(mech, t, shift, x, &worst, &consistent);
+        const double *const u = acting ? inputs + k * width : e->own_input;
+        int status = DAL__REQUIRE_FINITE(&mech->error, {"inputs", width, u});
+        e->input = u;
+        if (!status)
+            status = evaluate_row(mech, t, shift, x, energy ? &E : NULL, multipliers != NULL,
+                                  measured ? &worst : NULL);
+        e->input = e->own_input;
         if (status) return status;
         /* nothing of a row is written before all of it is known */
         if (energy) energy[k] = E;

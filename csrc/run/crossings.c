@@ -23,8 +23,7 @@ int dal__probe(dal_events *e, double t, double length, double *x)
     if (t + length == t) return DAL_SUCCESS;
     probe->motion.watch = e->stepper->motion.watch;
     probe->motion.watch_ctx = e->stepper->motion.watch_ctx;
-    int status = dal_stepper_input(probe, e->stepper->motion.input);
-    if (!status) status = dal_stepper_start(probe, t, length, x, DAL_ASSUME, DAL_INITIAL_NONE);
+    int status = dal_stepper_start(probe, t, length, x, DAL_ASSUME, DAL_INITIAL_NONE);
     probe->scaling.energy = e->energy;
     if (!status) status = dal_step(probe, NULL);
     if (!status) memcpy(x, probe->motion.x, 2 * e->n * sizeof *x);
@@ -243,7 +242,7 @@ int dal__find_crossings(dal_events *e, size_t *found)
     for (size_t i = 0; !status && e->from < 1.0 && i < e->count; i++) {
         const guard *const g = &e->guards[i];
         if (g->side == 0) continue;
-        if (g->due) e->crossings[(*found)++] = (crossing){i, e->from, -g->side};
+        if (g->due || g->jumped) e->crossings[(*found)++] = (crossing){i, e->from, -g->side};
         else if (g->waits) status = find_after_reset(e, i, found);
         else if (g->side * g->end <= 0.0)
             status = locate(e, i, e->from, g->begin, 1.0, g->end, -g->side, found);

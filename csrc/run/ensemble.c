@@ -108,9 +108,14 @@ static void measure(worker *self, size_t row, size_t step, double t, const doubl
     const size_t at = self->member * self->rows + row, hold = dal__hold(run);
     double *const energy = members->energy, *const residual = members->residual;
     double *const multipliers = members->multipliers;
-    const double *u = run->inputs;
+    double *u = run->inputs;
     if (!self->mech) return;
-    if (u) u += (step < run->steps || step == 0 ? step : step - 1) / hold * width;
+    /* of constraints that depend on inputs those that the state lies in the D of */
+    const bool driven = self->system->def.driven;
+    const bool before = step == run->steps || (driven && !run->ended);
+    if (u) u += (before && step > 0 ? step - 1 : step) / hold * width;
+    if (members->control && multipliers && !before && !driven && step % hold == 0)
+        dal_law_control(step, t, x, u, &self->control); /* as the run will at once */
     const double shift = self->stepper->shift * self->stepper->motion.h;
     if (energy) dal__trajectory(self->mech, t, 0.0, 0, shift, 1, x, u, energy + at, NULL, NULL,
                                 NULL, NULL);
@@ -165,6 +170,12 @@ static void conclude(worker *self)
 
 /* ---- a member ------------------------------------------------------------------------------ */
 
+static const double *initial_state(const worker *self)
+{
+    const dal_members *const members = self->members;
+    return members->x ? ROW_OF(members, x, self->member) : self->system->def.state;
+}
+
 static int bind_parameters(worker *self)
 {
     const dal_members *const members = self->members;
@@ -173,18 +184,35 @@ static int bind_parameters(worker *self)
                               &self->stepper->error);
 }
 
+/* Of constraints that depend on inputs the initial data have to lie in the D of the first ones. */
+static int first_inputs(worker *self)
+{
+    const dal_members *const members = self->members;
+    dal_stepper *const stepper = self->stepper;
+    const double *const x = initial_state(self);
+    if (members->inputs) return dal_stepper_input(stepper, ROW_OF(members, inputs, self->member));
+    if (!members->control || !x) return DAL_SUCCESS;
+    const int returned = dal_law_control(0, members->t0, x, self->inputs, &self->control);
+    if (returned)
+        return dal__fail(&stepper->error, DAL_EUSER, "the control returned %d at the start",
+                         returned);
+    return dal_stepper_input(stepper, self->inputs);
+}
+
 /* The stepper at the beginning of the member, as if it were new. */
 static int begin(worker *self)
 {
     const dal_members *const members = self->members;
     dal_stepper *const stepper = self->stepper;
     const size_t k = self->member;
-    const int status = self->own ? bind_parameters(self) : DAL_SUCCESS;
+    int status = self->own ? bind_parameters(self) : DAL_SUCCESS;
     if (status) return status;
     dal__clear(self->system->def.inputs, stepper->mech.eval.own_input);
+    if (self->system->def.driven) status = first_inputs(self);
+    if (status) return status;
     if (self->events) dal__events_forget(self->events);
     return dal_stepper_start(stepper, members->t0, *ROW_OF(members, h, k),
-                             members->x ? ROW_OF(members, x, k) : self->system->def.state,
+                             initial_state(self),
                              members->consistency, members->initial);
 }
 
@@ -212,6 +240,7 @@ static void prepare_run(worker *self)
         run->inputs = self->inputs;
         run->control = dal_law_control;
         run->control_ctx = &self->control;
+        run->handed = self->system->def.driven != NULL; /* see first_inputs */
     }
     if (members->reactions) run->reactions = members->reactions + k * self->reactions * m;
     if (stride > 0 && members->states) run->x = members->states + k * self->rows * 2 * n;

@@ -286,13 +286,15 @@ static void end_step(dal_run *run, double t)
     motion->first = motion->steps;
 }
 
-/* The span from the event on; happening has the state before and after it. */
-static int begin_anew(dal_events *e, const crossing *c, const happening *now)
+/* The span from the event on; happening has the state before and after it.  A guard that has jumped
+ * was not near zero. */
+static int begin_anew(dal_events *e, const crossing *c, const happening *now, bool jumped)
 {
     const double t = dal__time_at(e, c->theta);
-    double rate, at;
-    int status = dal__event_value(e, c->event, t, now->x, &at);
-    if (!status) status = dal__event_rate(e, c->event, c->theta, now->x, at, -1.0, &rate);
+    double rate = 0.0, at = 0.0;
+    int status = jumped ? DAL_SUCCESS : dal__event_value(e, c->event, t, now->x, &at);
+    if (!status && !jumped)
+        status = dal__event_rate(e, c->event, c->theta, now->x, at, -1.0, &rate);
     if (status) return status;
 
     memcpy(e->begin, now->after, 2 * e->n * sizeof *e->begin);
@@ -342,8 +344,9 @@ static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, 
 {
     const int direction = dal__sign(e->list[c->event].direction);
     guard *const g = &e->guards[c->event];
+    const bool jumped = *anew = g->jumped; /* it may cross again */
     g->side = c->to;
-    g->waits = g->due = false;
+    g->waits = g->due = g->jumped = false;
     g->crossed = true;
     if (direction != 0 && direction != c->to) return DAL_SUCCESS;
     if (e->happenings == DAL_MOST_EVENTS)
@@ -353,12 +356,12 @@ static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, 
                          (int)DAL_MOST_EVENTS, e->h);
     happening *const now = &e->happened[e->happenings++];
     const int status = enter(e, run, c, now);
-    *anew = now->reset;
+    *anew |= now->reset;
     if (status || !now->reset) return status;
     for (size_t k = 1; k <= later; k++)
         e->guards[c[k].event].due = c[k].theta <= c->theta + TOGETHER;
     if (dal__run_varies(run)) end_step(run, now->t);
-    return begin_anew(e, c, now);
+    return begin_anew(e, c, now, jumped);
 }
 
 /* The spans of a step that the stepper has made. */
@@ -377,6 +380,20 @@ static int look_into(dal_events *e, dal_run *run)
         }
     }
     if (!status && !run->ended) status = make_times(e, run, 1.0);
+    return status;
+}
+
+/* The velocity has jumped into the D of new inputs, and guards may have crossed zero with it. */
+static int jump(dal_events *e, const dal_motion *motion)
+{
+    int status = DAL_SUCCESS;
+    if (memcmp(e->begin, motion->x, 2 * e->n * sizeof *e->begin) == 0) return DAL_SUCCESS;
+    memcpy(e->begin, motion->x, 2 * e->n * sizeof *e->begin); /* the nodes are moved ones */
+    for (size_t i = 0; !status && i < e->count; i++) {
+        guard *const g = &e->guards[i];
+        status = dal__event_value(e, i, e->t, e->begin, &g->begin);
+        g->jumped = !g->waits && dal__sign(g->begin) * g->side < 0;
+    }
     return status;
 }
 
@@ -406,6 +423,12 @@ static int prepare(dal_events *e, dal_run *run)
                                "it was saved: it is another one", i, now, e->t, g->begin);
         if (status || same) continue; /* the value that was saved has the bits of that run */
         *g = (guard){.side = dal__sign(now), .size = fabs(now), .begin = now};
+    }
+    if (!status) status = dal_stepper_input(e->probe, motion->input);
+    if (!status && run->stepper->applied) {
+        status = dal__stepper_turn(run->stepper);
+        if (status) *e->error = run->stepper->error;
+        else status = jump(e, motion);
     }
     if (status) return status;
     memcpy(e->last, motion->x, N * sizeof *e->last);

@@ -16,7 +16,8 @@ enum { DAL_MOST_EVENTS = 100 }; /* within a step */
 typedef struct guard {
     int side;        /* of zero that g is on: 1 or -1; 0: on zero */
     bool waits;      /* a reset sends it there, and it has not been seen there yet */
-    bool due;        /* it crosses where the span begins */
+    bool due;        /* it crosses where the span begins: together with a reset, or */
+    bool jumped;     /* with the velocity, where inputs have changed D */
     bool crossed;    /* in this span */
     size_t happened;
     double size;     /* the largest |g| seen */

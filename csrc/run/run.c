@@ -56,7 +56,7 @@ static int store(dal_run *run)
     if (run->stored == 0) run->t_begin = t;
     run->row_time = t;
     run->row_step = run->done;
-    run->row_inputs = run->handed;
+    run->row_inputs = run->stored > 0 ? run->handed : 0;
     run->stored++;
     if (!run->observer) return DAL_SUCCESS;
     return dal__heed(run, "observer", run->observer(motion->steps, t, motion->x,
@@ -91,7 +91,7 @@ static int hand_inputs(dal_run *run)
     if (!inputs_change(run, &row)) return DAL_SUCCESS;
     double *const u = run->inputs + row * width;
     int status = DAL_SUCCESS;
-    if (run->control) {
+    if (run->control && run->handed <= row) {
         dal__forget(width, u);
         status = dal__heed(run, "control", run->control(motion->steps, dal_stepper_time(stepper),
                                                         motion->x, u, run->control_ctx));
@@ -180,6 +180,8 @@ int dal_run_go(dal_run *run, size_t budget)
     int status = dal__run_check(run);
     if (status) return status;
     if (run->ended) return DAL_STOPPED;
+    if (run->control && run->done == 0 && run->handed == 1)
+        dal__copy(motion->system->def.inputs, motion->input, run->inputs);
     status = dal__journal_begin(run);
     if (!status && is_due(run)) status = store(run);
     motion->watch = run->watch;

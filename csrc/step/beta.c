@@ -28,12 +28,17 @@ typedef struct beta {
 /* Whether mu is stored by rows. */
 static bool has_rows(const dal_system *system) { return system->lean && system->rows; }
 
+/* Whether the system has a step routine of its own, with the callbacks inside, for the steps. */
+static bool is_inside(const dal_system *system, const dal_scheme *scheme)
+{
+    return system->def.compiled && scheme->nodes == DAL_MOVED_NODES;
+}
+
 /* The compilation of the step routine that makes the steps. */
 static dal_kernel_fn find_routine(const dal_system *system, const dal_scheme *scheme)
 {
     const size_t n = system->def.n, m = system->def.m;
-    if (system->def.compiled && scheme->nodes == DAL_MOVED_NODES)
-        return system->def.compiled->advance;
+    if (is_inside(system, scheme)) return system->def.compiled->advance;
     if (dal__has_momenta(system)) return dal__kernel_with_momenta(n, m);
     return has_rows(system) ? dal__kernel_any() : dal__kernel_for(n, m);
 }
@@ -329,7 +334,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->n = system->def.n;
     k->m = system->def.m;
     k->constraint = e->constraint;
-    k->constraint_ctx = e->constraint_ctx;
+    k->constraint_ctx = is_inside(system, scheme) ? system->def.ctx : e->constraint_ctx;
     k->potential = e->pull;
     k->potential_ctx = e->pull_ctx;
     k->balance_of = dal__balance;

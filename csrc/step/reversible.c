@@ -78,6 +78,7 @@ static const char *untried(const dal_system *system)
 {
     const dal_system_def *const def = &system->def;
     if (def->force) return "a force";
+    if (def->driven) return "inputs in its constraints";
     if (!dal__is_autonomous(system)) return "functions of the time";
     if (!system->mass) return "a mass that depends on q, or terms of L that are linear "
                                  "in v";

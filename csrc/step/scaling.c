@@ -32,6 +32,7 @@ static int check_system(const dal_system *system, dal_error *error)
     const char *const what = def->kind == DAL_AFFINE ? "affine constraints: a scaled v leaves D"
                            : def->kind != DAL_LINEAR ? "nonlinear constraints: a scaled v leaves D"
                            : def->force ? "a force, which does work"
+                           : def->driven ? "inputs in its constraints, which do work"
                            : !dal__is_autonomous(system) ? "what depends on time" : NULL;
     if (!what) return DAL_SUCCESS;
     return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: \"%s\" has %s", def->name,
@@ -85,17 +86,16 @@ static int measure(dal_mechanics *mech, const double *x, double *E, double *twic
     return DAL_SUCCESS;
 }
 
-/* Whether L_vv is the same at another velocity. */
-static int check_degree(dal_mechanics *mech, const double *x)
+int dal__check_degree(dal_mechanics *mech, double t, const double *x, const char *name)
 {
     const size_t n = mech->n;
     const double *const M = mech->metric.M, *const other = mech->L_vv;
     bool same = true;
-    int status = dal__form_metric(mech, 0.0, x, x + n);
+    int status = dal__form_metric(mech, t, x, x + n);
     if (status) return status;
     for (size_t i = 0; i < n; i++) mech->reach[i] = 2.0 * x[n + i] + mech->metric.unit[i];
     const dal__jet wanted = {.L_vv = mech->L_vv};
-    status = dal__lagrangian(&mech->eval, 0.0, x, mech->reach, &wanted, &mech->error);
+    status = dal__lagrangian(&mech->eval, t, x, mech->reach, &wanted, &mech->error);
     if (status == DAL_EUSER) return status;
     for (size_t i = 0; !status && i < n; i++)
         for (size_t j = 0; j < n; j++) {
@@ -103,8 +103,8 @@ static int check_degree(dal_mechanics *mech, const double *x)
             if (!(fabs(M[i * n + j] - other[i * n + j]) <= SAME * size)) same = false;
         }
     if (!status && same) return DAL_SUCCESS;
-    return dal__fail(&mech->error, DAL_EUNSUPPORTED, "keep_energy: expected L of second degree in "
-                     "v, but L_vv at another velocity is %s",
+    return dal__fail(&mech->error, DAL_EUNSUPPORTED, "%s: expected L of second degree in v, but "
+                     "L_vv at another velocity is %s", name,
                      status ? "not defined" : "not that of the start");
 }
 
@@ -114,7 +114,8 @@ int dal__scaling_start(dal_stepper *self, const double *x, double *energy)
     double twice;
     *energy = 0.0;
     if (!self->scaling.wanted) return DAL_SUCCESS;
-    const int status = mech->eval.constant_mass ? DAL_SUCCESS : check_degree(mech, x);
+    const int status =
+        mech->eval.constant_mass ? DAL_SUCCESS : dal__check_degree(mech, 0.0, x, "keep_energy");
     if (status) return status;
     const int measured = measure(mech, x, energy, &twice);
     if (measured || isfinite(*energy)) return measured;

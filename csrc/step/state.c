@@ -87,9 +87,16 @@ static size_t kept_by_family(const dal_stepper *self)
     return self->family->save ? self->family->save(self->method, NULL) : 0;
 }
 
+/* How many inputs the state lies in the D of. */
+static size_t applied(const dal_stepper *self)
+{
+    return self->applied ? self->motion.system->def.inputs : 0;
+}
+
 static size_t before_family(const dal_stepper *self)
 {
-    return HEAD + 2 * self->mech.n + self->motion.system->def.inputs + self->mech.m;
+    return HEAD + 2 * self->mech.n + self->motion.system->def.inputs + applied(self)
+         + self->mech.m;
 }
 
 size_t dal_stepper_saved(const dal_stepper *stepper)
@@ -125,6 +132,7 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
     memcpy(values + HEAD, stepper->motion.x, N * sizeof *values);
     dal__copy(stepper->motion.system->def.inputs, stepper->motion.input, values + HEAD + N);
     dal__copy(m, stepper->guards.rank.largest, of_family - m);
+    dal__copy(applied(stepper), stepper->applied, of_family - m - applied(stepper));
     if (stepper->family->save) stepper->family->save(stepper->method, of_family);
     return DAL_SUCCESS;
 }
@@ -200,8 +208,9 @@ int dal_stepper_restore(dal_stepper *stepper, const double *values, size_t count
     stepper->motion.stats->steps = stepper->motion.steps; /* by which the step routine counts */
     memcpy(stepper->motion.x, values + HEAD, N * sizeof *values);
     dal_stepper_input(stepper, values + HEAD + N);
-    dal__copy(stepper->mech.m, values + before_family(stepper) - stepper->mech.m,
-              stepper->guards.rank.largest);
+    const double *const largest = values + before_family(stepper) - stepper->mech.m;
+    dal__copy(stepper->mech.m, largest, stepper->guards.rank.largest);
+    dal__copy(applied(stepper), largest - applied(stepper), stepper->applied);
     if (stepper->family->start) stepper->family->start(stepper->method, &stepper->motion);
     if (stepper->family->restore)
         stepper->family->restore(stepper->method, values + before_family(stepper));

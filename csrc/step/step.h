@@ -129,6 +129,9 @@ int dal__scaling_make(dal_stepper *stepper, const dal_options *options, dal_erro
 int dal__scaling_start(dal_stepper *stepper, const double *x, double *energy);
 /* One step; the caller counts it.  The error is in motion->error. */
 int dal__scaling_step(dal_stepper *stepper);
+/* DAL_EUNSUPPORTED, in the name of who asks, unless L is of second degree in v at x[2n]; the text
+ * is in mech->error.  The errors of the callbacks. */
+int dal__check_degree(dal_mechanics *mech, double t, const double *x, const char *name);
 /* Reversible steps (reversible.c); eps = 0: there are none. */
 typedef struct dal__reversible {
     double eps;
@@ -159,6 +162,7 @@ struct dal_stepper {
     dal_mechanics mech;
     dal_stats stats;
     double *fresh;         /* [2n] initial data being examined */
+    double *applied;       /* [inputs] in whose D the state is, if constraints depend on them */
     dal__jump jump;
     struct dal__guards guards;
     dal__vary vary;
@@ -182,6 +186,9 @@ static inline double dal__stepper_ahead(const dal_stepper *stepper)
  * where those whose size varies are to end; the mean reaction over the time that has passed. */
 void dal__stepper_forget_impulse(dal_stepper *stepper);
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made);
+/* Before a step: where inputs have changed D the velocity jumps into it; the impulse of the jump is
+ * added to those of the steps.  The errors of dal_project. */
+int dal__stepper_turn(dal_stepper *stepper);
 int dal__stepper_reaction(dal_stepper *stepper, double elapsed, double *reaction);
 /* The state after the last step becomes x[2n], from where the motion is another one: the predictor
  * is forgotten, and the energy is that from now on; kept: that which is kept, if one is.  The

@@ -20,6 +20,7 @@ static int allocate(dal_stepper **stepper, const dal_system *system, const dal_s
     DAL__RESERVE(&memory, dal__times(2, n), &shape.motion.x, &shape.fresh);
     DAL__RESERVE(&memory, system->def.m, &shape.motion.impulse);
     dal__rank_reserve(&shape.guards.rank, system->def.m, &memory);
+    if (system->def.driven) DAL__RESERVE(&memory, system->def.inputs, &shape.applied);
     const int status = dal__allocate(&memory, error);
     if (status) return status;
     /* the slots that the arena has filled are those of shape */
@@ -49,6 +50,10 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     if (options && options->max_iterations < 0)
         return dal__fail(error, DAL_EINVAL, "options.max_iterations = %d is negative",
                          options->max_iterations);
+    if (system->def.driven && scheme->nodes == DAL_KEPT_NODES)
+        return dal__fail(error, DAL_EUNSUPPORTED, "\"%s\": the constraints of \"%s\" depend on "
+                         "inputs, and a change of these would move the kept nodes; expected a "
+                         "scheme with moved nodes", scheme->name, system->def.name);
     const dal_family *const family = dal__scheme_family(scheme);
     if (!family->name || !family->advance)
         return dal__fail(error, DAL_EINVAL, "scheme.family->%s is NULL",
@@ -125,6 +130,30 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
 int dal_stepper_input(dal_stepper *stepper, const double *u)
 {
     return stepper ? dal__evaluator_input(&stepper->mech.eval, u, &stepper->error) : DAL_EINVAL;
+}
+
+int dal__stepper_turn(dal_stepper *stepper)
+{
+    dal_motion *const motion = &stepper->motion;
+    dal_mechanics *const mech = &stepper->mech;
+    const dal_family *const family = stepper->family;
+    const size_t n = mech->n, size = motion->system->def.inputs * sizeof(double);
+    double *const x = stepper->fresh, *const change = mech->w;
+    if (!stepper->applied || memcmp(stepper->applied, motion->input, size) == 0)
+        return DAL_SUCCESS;
+    memcpy(x, motion->x, 2 * n * sizeof *x);
+    const int status = dal_project(mech, dal_stepper_time(stepper), 0.0, x, NULL);
+    if (status)
+        return dal__fail_because(&stepper->error, status, &mech->error,
+                                 "the inputs of step %zu (t = %g): ", motion->steps + 1,
+                                 dal_stepper_time(stepper));
+    dal__move(n, x + n, -1.0, motion->x + n, change);
+    dal__add_impulse_of(mech, change, motion->impulse);
+    memcpy(motion->x + n, x + n, n * sizeof *x);
+    memcpy(stepper->applied, motion->input, size);
+    if (family->forget_velocity) family->forget_velocity(stepper->method);
+    else if (family->start) family->start(stepper->method, motion);
+    return DAL_SUCCESS;
 }
 
 /* ---- start ------------------------------------------------------------------------------ */
@@ -285,6 +314,8 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
                                  &stats);
     if (!status && initial == DAL_INITIAL_PROJECT)
         status = dal_project(&self->mech, t0, shift, self->fresh, &stats.initial_correction);
+    if (!status && self->applied && !self->mech.eval.constant_mass)
+        status = dal__check_degree(&self->mech, t0, self->fresh, "inputs in constraints");
     if (!status && initial == DAL_INITIAL_SHIFT) status = move_node(self, shift, self->fresh);
     if (!status) dal__rank_find(&self->guards.rank, &self->mech);
     dal__jump jump = {0};
@@ -304,6 +335,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     }
 
     memcpy(motion->x, self->fresh, 2 * n * sizeof *x);
+    if (self->applied) dal__copy(motion->system->def.inputs, motion->input, self->applied);
     motion->t0 = t0;
     motion->h = first;
     motion->steps = motion->first = 0;
@@ -377,7 +409,10 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
     enum { BETWEEN_LOOKS = 64 };
     dal_stepper *const self = stepper;
     dal_motion *const motion = &self->motion;
-    for (*made = 0; *made < steps;) {
+    *made = 0;
+    const int turned = steps > 0 ? dal__stepper_turn(self) : DAL_SUCCESS;
+    if (turned) return turned;
+    while (*made < steps) {
         const size_t left = steps - *made, next = BETWEEN_LOOKS - motion->steps % BETWEEN_LOOKS;
         size_t done = 0;
         motion->error->text[0] = '\0';
@@ -417,7 +452,7 @@ int dal__stepper_reaction(dal_stepper *stepper, double elapsed, double *reaction
     const dal_motion *const motion = &self->motion;
     double *const mean = self->mech.lambda;
     for (size_t a = 0; a < self->mech.m; a++) {
-        const bool none = self->family->no_reaction;
+        const bool none = self->family->no_reaction || elapsed == 0.0; /* of a jump alone */
         mean[a] = none ? (double)NAN : motion->impulse[a] / elapsed;
         if (!none && !isfinite(mean[a]))
             return dal__fail(&self->error, DAL_EDOMAIN, "reaction[%zu] = %g is not finite after "

@@ -53,7 +53,8 @@ static int check_def(const dal_system *system, const dal_embedding_def *def, dal
     if (!dal__is_autonomous(system))
         return dal__fail(error, DAL_EUNSUPPORTED, "%s: only autonomous systems are embedded",
                          system->def.force ? "a force may depend on time"
-                                           : "the system depends on time");
+                         : system->def.driven ? "inputs drive the constraints"
+                                              : "the system depends on time");
     return DAL_SUCCESS;
 }
 

@@ -112,6 +112,9 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
 {
     if (base->def.m == 0)
         return dal__fail(error, DAL_EINVAL, "base has no constraints that could be deformed");
+    if (base->def.driven)
+        return dal__fail(error, DAL_EUNSUPPORTED, "base is \"%s\", whose constraints depend on "
+                         "inputs: they are not deformed", base->def.name);
     if (!isfinite(self->delta))
         return dal__fail(error, DAL_EINVAL, "%s = %g is not finite", self->g ? "delta" : "shift",
                          self->delta);

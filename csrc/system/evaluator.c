@@ -94,6 +94,14 @@ void dal__expand(const dal_system_def *def, double *A)
     }
 }
 
+int dal__call_constraint(const evaluator *e, double t, const double *q, const double *v,
+                         double *phi, double *phi_v, double *phi_q, double *phi_t)
+{
+    const dal_system_def *const def = &e->system->def;
+    if (def->driven) return def->driven(t, q, v, e->input, phi, phi_v, phi_q, phi_t, def->ctx);
+    return def->constraint(t, q, v, phi, phi_v, phi_q, phi_t, def->ctx);
+}
+
 /* x: where the outputs go, in the order of the table.  phi of linear constraints is mu v. */
 static int call(evaluator *e, callback which, double t, const double *q, const double *v,
                 double *const *x)
@@ -107,7 +115,7 @@ static int call(evaluator *e, callback which, double t, const double *q, const d
         return def->potential(t, q, x[0], x[1], x[2], def->ctx);
     case CONSTRAINT:
         e->constraint_calls++;
-        returned = def->constraint(t, q, v, linear ? NULL : x[3], x[0], x[1], x[2], def->ctx);
+        returned = dal__call_constraint(e, t, q, v, linear ? NULL : x[3], x[0], x[1], x[2]);
         for (size_t k = 0; !returned && def->sparsity && !e->rows && k < 2; k++)
             if (x[k]) dal__expand(def, x[k]);
         if (returned || !linear || !x[3]) return returned;
@@ -333,8 +341,9 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
         e->pull = pull;
         e->pull_ctx = e;
     }
-    if (def->constraint && ((def->missing & (DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))
-                            || (def->sparsity && !e->rows))) {
+    if (def->driven
+        || (def->constraint && ((def->missing & (DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))
+                                || (def->sparsity && !e->rows)))) {
         e->constraint = complete_constraint;
         e->constraint_ctx = e;
     }
@@ -446,7 +455,7 @@ bool dal__is_dragged(const dal_system *system)
 
 bool dal__is_autonomous(const dal_system *system)
 {
-    return !system->def.force && !system->def.time_dependent;
+    return !system->def.force && !system->def.driven && !system->def.time_dependent;
 }
 
 bool dal__has_momenta(const dal_system *system)

@@ -61,8 +61,10 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
                          "lagrangian", def->missing);
     if (!def->lagrangian && (def->missing & of_lagrangian))
         return dal__fail(error, DAL_EINVAL, "missing = %#x: lagrangian is NULL", def->missing);
-    if (!def->force && def->inputs > 0)
-        return dal__fail(error, DAL_EINVAL, "inputs = %zu: force is NULL", def->inputs);
+    if (!def->force && !def->driven && def->inputs > 0)
+        return dal__fail(error, DAL_EINVAL, "inputs = %zu: force and driven are NULL", def->inputs);
+    if (def->driven && def->inputs == 0)
+        return dal__fail(error, DAL_EINVAL, "driven is not NULL, and inputs is 0");
     if (!def->force && (def->missing & of_force))
         return dal__fail(error, DAL_EINVAL, "missing = %#x: force is NULL", def->missing);
     if (!def->time_dependent && (def->missing & of_time))
@@ -120,10 +122,14 @@ static int check_def(const dal_system_def *def, dal_error *error)
                          (int)def->kind);
     if (m == 0 && def->kind != DAL_LINEAR)
         return dal__fail(error, DAL_EINVAL, "kind = %d with m = 0 constraints", (int)def->kind);
-    if (m > 0 && !def->constraint)
+    if (m > 0 && !def->constraint && !def->driven)
         return dal__fail(error, DAL_EINVAL, "m = %zu and constraint is NULL", m);
-    if (m == 0 && def->constraint)
-        return dal__fail(error, DAL_EINVAL, "m = 0 and constraint is not NULL");
+    if (m == 0 && (def->constraint || def->driven))
+        return dal__fail(error, DAL_EINVAL, "m = 0 and %s is not NULL",
+                         def->constraint ? "constraint" : "driven");
+    if (def->constraint && def->driven)
+        return dal__fail(error, DAL_EINVAL, "constraint and driven are both given: expected one of "
+                         "the two");
     if (def->invariants > 0 && (!def->invariant || !def->invariant_names))
         return dal__fail(error, DAL_EINVAL, "invariants = %zu and %s is NULL", def->invariants,
                          def->invariant ? "invariant_names" : "invariant");
@@ -469,6 +475,7 @@ const char *dal_system_formulas(const dal_system *system) { return system->def.f
 const dal_sparsity *dal_system_sparsity(const dal_system *system) { return system->def.sparsity; }
 dal_constraint_kind dal_system_kind(const dal_system *system) { return system->def.kind; }
 int dal_system_is_forced(const dal_system *system) { return system->def.force != NULL; }
+int dal_system_is_driven(const dal_system *system) { return system->def.driven != NULL; }
 int dal_system_is_time_dependent(const dal_system *system) { return system->def.time_dependent; }
 size_t dal_system_invariants(const dal_system *system) { return system->def.invariants; }
 

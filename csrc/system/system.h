@@ -62,7 +62,7 @@ typedef struct evaluator {
     bool lean;                  /* of a lean system, unless dense; */
     const dal_rows *rows;       /* phi_v and phi_q have the entries of these, then and if any */
     const char *refused;        /* the callback that made pull or dal__balance not return 0 */
-    const double *input;        /* [inputs] of the force: */
+    const double *input;        /* [inputs] of the force and the constraint: */
     double *own_input;          /* these, which are 0 at first, or those of a row */
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
     double *nowhere;            /* [n] NaN: the velocity for a force that is positional */
@@ -91,6 +91,9 @@ void dal__expand(const dal_system_def *def, double *A);
 
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a);
 void dal__evaluator_bind(evaluator *e, const dal_system *system);
+/* The callback of the constraint, whichever there is; returns what it does. */
+int dal__call_constraint(const evaluator *e, double t, const double *q, const double *v,
+                         double *phi, double *phi_v, double *phi_q, double *phi_t);
 /* own_input <- u[inputs].  DAL_EINVAL. */
 int dal__evaluator_input(evaluator *e, const double *u, dal_error *error);
 

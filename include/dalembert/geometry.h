@@ -47,13 +47,13 @@ typedef struct dal_check {
 } dal_check;
 
 /* *report <- the system examined at x[2n] and time t; what depends on v also at another velocity,
- * where it is defined there, and at time t + 1; a force at inputs of the size of 1.  That a
- * callback besides the force gives other numbers at another time is a finding, unless the system is
- * time_dependent.  The mass is examined at x, curvature and integrable (NaN, 0) only of linear
- * constraints, and condition (NaN) only if M is positive definite.  Findings are in the report; the
- * return value is for what prevents the examination: DAL_EINVAL, DAL_ENOMEM, DAL_EUSER, DAL_EDOMAIN
- * (a callback that is not finite or writes nothing is a finding of its own: passed = 0 and
- * DAL_EDOMAIN). */
+ * where it is defined there, and at time t + 1; inputs are of the size of 1, and 0 where x is to
+ * lie in D.  That a callback besides the force gives other numbers at another time is a finding,
+ * unless the system is time_dependent.  The mass is examined at x, curvature and integrable (NaN,
+ * 0) only of linear constraints that do not depend on inputs, and condition (NaN) only if M is
+ * positive definite.  Findings are in the report; the return value is for what prevents the
+ * examination: DAL_EINVAL, DAL_ENOMEM, DAL_EUSER, DAL_EDOMAIN (a callback that is not finite or
+ * writes nothing is a finding of its own: passed = 0 and DAL_EDOMAIN). */
 DAL_API int dal_system_check(const dal_system *system, double t, const double *x,
                              dal_check *report, dal_error *error);
 
@@ -69,7 +69,7 @@ DAL_API void dal_mechanics_free(dal_mechanics *mechanics);
 /* What the last failure was, with the numbers; "" if there was none. */
 DAL_API const dal_error *dal_mechanics_error(const dal_mechanics *mechanics);
 
-/* The inputs of the force are u[inputs] in what follows; 0 at first.  DAL_EINVAL. */
+/* The inputs are u[inputs] in what follows; 0 at first.  DAL_EINVAL. */
 DAL_API int dal_mechanics_input(dal_mechanics *mechanics, const double *u);
 
 /* In this section M is L_vv, and D = {phi(t, q, v) = 0}; mu is phi_v, and phi is mu v where the
@@ -154,10 +154,11 @@ DAL_API int dal_step_equations(dal_mechanics *mechanics, double t, double beta, 
                                double *R2, double *K, double *B, double *muk);
 
 /* Evaluates count rows (q, v) of x[count*2n], row k at time t0 + k h and with row k of the inputs,
- * as many as the system has for each row (NULL: those of dal_mechanics_input): energy[count];
- * multipliers[count*m] by lambdax, which have the order of the rows (rmkpdisc); residual[count*m] =
- * phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may be NULL.  On failure
- * *done (or NULL) is the number of rows that were evaluated. */
+ * as many as the system has for each row (NULL: those of dal_mechanics_input; of constraints that
+ * depend on inputs those that the row satisfies): energy[count]; multipliers[count*m] by lambdax,
+ * which have the order of the rows (rmkpdisc); residual[count*m] = phi(q - shift v, v);
+ * relative[count] as dal_relative_residual.  Outputs may be NULL.  On failure *done (or NULL) is
+ * the number of rows that were evaluated. */
 DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift,
                            size_t count, const double *x, const double *inputs, double *energy,
                            double *multipliers, double *residual, double *relative, size_t *done);

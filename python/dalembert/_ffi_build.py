@@ -29,6 +29,15 @@ extern "Python" int dal_py_affine(double t, const double *q, const double *v, do
                                   double *phi_v, double *phi_q, double *phi_t, void *ctx);
 extern "Python" int dal_py_nonlinear(double t, const double *q, const double *v, double *phi,
                                      double *phi_v, double *phi_q, double *phi_t, void *ctx);
+extern "Python" int dal_py_driven_linear(double t, const double *q, const double *v,
+                                         const double *u, double *phi, double *phi_v,
+                                         double *phi_q, double *phi_t, void *ctx);
+extern "Python" int dal_py_driven_affine(double t, const double *q, const double *v,
+                                         const double *u, double *phi, double *phi_v,
+                                         double *phi_q, double *phi_t, void *ctx);
+extern "Python" int dal_py_driven_nonlinear(double t, const double *q, const double *v,
+                                            const double *u, double *phi, double *phi_v,
+                                            double *phi_q, double *phi_t, void *ctx);
 extern "Python" int dal_py_deformation(double t, const double *q, const double *v, double *g,
                                        double *g_v, double *g_q, double *g_t, void *ctx);
 extern "Python" int dal_py_exact(double t, const double *x0, double *x, void *ctx);

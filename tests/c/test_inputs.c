@@ -1,4 +1,4 @@
-/* Inputs of the force: constant over a step, changed between steps.
+/* Inputs of the force and of constraints: constant over a step, changed between steps.
  *
  * A cart on a blade with the heading theta, with a brake, a motor that pushes it ahead, one that
  * turns it, and a wind from the side, which the blade takes:
@@ -422,13 +422,102 @@ static void test_definition(const dal_system *system)
     dal_system *other = NULL;
     dal_system_def def = {.n = N, .m = 0, .mass = mass, .inputs = 2};
     CHECK(dal_system_new(&other, &def, &error) == DAL_EINVAL
-          && strcmp(error.text, "inputs = 2: force is NULL") == 0);
+          && strcmp(error.text, "inputs = 2: force and driven are NULL") == 0);
     def.force = motors;
     CHECK(dal_system_new(&other, &def, &error) == DAL_SUCCESS);
     CHECK(strcmp(dal_system_input_name(other, 1), "u1") == 0);
     dal_system_free(other);
     CHECK(dal_system_inputs(system) == INPUTS && dal_system_input_name(system, INPUTS) == NULL);
     CHECK(strcmp(dal_system_input_name(system, 0), "push") == 0);
+}
+
+/* ---- inputs in constraints ------------------------------------------------------------------ */
+
+/* x' = u in a field of strength 3, beside y, on which nothing acts; m = 1, so lambda = 3. */
+static int ramp(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    (void)t, (void)ctx;
+    if (V) *V = 3.0 * q[0];
+    if (V_q) V_q[0] = 3.0, V_q[1] = 0.0;
+    if (V_qq) memset(V_qq, 0, 4 * sizeof *V_qq);
+    return 0;
+}
+
+static int conveyor(double t, const double *q, const double *v, const double *u, double *phi,
+                    double *phi_v, double *phi_q, double *phi_t, void *ctx)
+{
+    (void)t, (void)q, (void)ctx, (void)phi_t;
+    if (phi) phi[0] = v[0] - u[0];
+    if (phi_v) phi_v[0] = 1.0, phi_v[1] = 0.0;
+    if (phi_q) phi_q[0] = phi_q[1] = 0.0;
+    return 0;
+}
+
+/* The input is 1 more than before; the run has the first. */
+static int climb(size_t step, double t, const double *x, double *u, void *ctx)
+{
+    (void)t, (void)ctx;
+    u[0] = x[2] + 1.0;
+    return step == 0 ? -1 : 0;
+}
+
+static void test_driven(void)
+{
+    static const double ones[2] = {1.0, 1.0}, rest[4] = {0.0, 0.0, 0.0, 1.0};
+    dal_error error = {0};
+    dal_system *system = NULL, *bent = NULL;
+    dal_system_def def = {.n = 2, .m = 1, .masses = ones, .potential = ramp, .driven = conveyor,
+                          .kind = DAL_AFFINE};
+    CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL
+          && strcmp(error.text, "driven is not NULL, and inputs is 0") == 0);
+    def.inputs = 1;
+    def.constraint = plane_blade;
+    CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL
+          && strstr(error.text, "constraint and driven are both given") != NULL);
+    def.constraint = NULL;
+    def.m = 0;
+    def.kind = DAL_LINEAR;
+    CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL
+          && strcmp(error.text, "m = 0 and driven is not NULL") == 0);
+    def.m = 1;
+    def.kind = DAL_AFFINE;
+    CHECK(dal_system_new(&system, &def, &error) == DAL_SUCCESS);
+    CHECK(dal_system_is_driven(system) == 1 && dal_system_is_forced(system) == 0);
+    CHECK(dal_system_deform_nodes(&bent, system, 0.1, &error) == DAL_EUNSUPPORTED);
+    dal_stepper *stepper = NULL;
+    const dal_scheme kept = find_scheme("midpoint-nodes"), record = find_scheme("leapfrog");
+    CHECK(dal_stepper_new(&stepper, system, &kept, NULL, &error) == DAL_EUNSUPPORTED
+          && strstr(error.text, "expected a scheme with moved nodes") != NULL);
+
+    /* the jump belongs to the step, whose impulse has it; until then the state is as it was */
+    stepper = open_stepper(system, &record, NULL);
+    double reaction, *const saved = malloc(dal_stepper_saved(stepper) * sizeof *saved);
+    const double *const x = dal_stepper_state(stepper);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.5, rest, DAL_CHECK, DAL_INITIAL_NONE) == DAL_SUCCESS);
+    CHECK(dal_stepper_input(stepper, (double[]){9.0}) == DAL_SUCCESS);
+    CHECK(dal_stepper_input(stepper, (double[]){2.0}) == DAL_SUCCESS && x[2] == 0.0);
+    CHECK(dal_stepper_save(stepper, saved) == DAL_SUCCESS);
+    for (int i = 0; i < 2; i++) {
+        CHECK(dal_step(stepper, &reaction) == DAL_SUCCESS);
+        CHECK(x[0] == 1.0 && x[1] == 0.5 && x[2] == 2.0 && x[3] == 1.0);
+        CHECK(fabs(reaction - (3.0 + 2.0 / 0.5)) < 1e-14);
+        CHECK(dal_step(stepper, &reaction) == DAL_SUCCESS && fabs(reaction - 3.0) < 1e-14);
+        CHECK(dal_stepper_restore(stepper, saved, dal_stepper_saved(stepper)) == DAL_SUCCESS);
+    }
+    CHECK(dal_stepper_start(stepper, 0.0, 0.5, rest, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EOFFD);
+
+    double inputs[3], rows[16], reactions[3];
+    dal_run run = {.stepper = stepper, .steps = 3, .stride = 1, .x = rows, .inputs = inputs,
+                   .reactions = reactions, .control = climb, .handed = 1};
+    CHECK(dal_stepper_start(stepper, 0.0, 0.5, (double[]){0.0, 0.0, 2.0, 1.0}, DAL_CHECK,
+                            DAL_INITIAL_NONE) == DAL_SUCCESS);
+    CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
+    CHECK(inputs[0] == 2.0 && inputs[1] == 3.0 && inputs[2] == 4.0);
+    CHECK(rows[4] == 1.0 && rows[8] == 2.5 && rows[12] == 4.5 && rows[14] == 4.0);
+    CHECK(fabs(reactions[0] - 3.0) < 1e-14 && fabs(reactions[1] - 5.0) < 1e-14);
+    dal_stepper_free(stepper);
+    free(saved);
+    dal_system_free(system);
 }
 
 int main(void)
@@ -443,5 +532,6 @@ int main(void)
     test_failures(system);
     test_definition(system);
     dal_system_free(system);
+    test_driven();
     return check_done();
 }

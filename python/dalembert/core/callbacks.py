@@ -19,14 +19,15 @@ _from_handle, _buffer, _memmove = ffi.from_handle, ffi.buffer, ffi.memmove
 _frombuffer, _ndarray, _double = np.frombuffer, np.ndarray, np.dtype(np.float64)
 
 # The callbacks whose outputs are functions of the user, all of (q, v) or of (t, q, v).
-_PLAIN = ("lagrangian", "force", "nonlinear", "deformation")
+_PLAIN = ("lagrangian", "force", "deformation")
 
 
 class Callables:
     """A user's functions, and the shapes of what they return, of n coordinates, m constraints.
 
-    The force takes inputs, if there are any, as its last argument.  ``timed``: all take the time as
-    their first.  ``entries``: of linear forms, which then are no matrix.
+    The force, and driven constraints, take inputs, if there are any, as their last argument.
+    ``timed``: all take the time as their first.  ``entries``: of linear forms, which then are no
+    matrix.
     """
 
     def __init__(
@@ -45,7 +46,7 @@ class Callables:
         self.matrix = (m, n) if entries is None else (entries,)
         self.plain = {
             callback: [(name, shape_of(x, n, m)) for x, name in OUTPUTS[callback].items()]
-            for callback in _PLAIN
+            for callback in (*_PLAIN, "nonlinear")
             if any(functions.get(name) is not None for name in OUTPUTS[callback].values())
         }
 
@@ -94,12 +95,18 @@ def dal_py_potential(t: float, q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) ->
     return 0
 
 
-def _define(callback: str) -> None:
+def _inputs(call: Callables, u: Any) -> tuple[Any, ...]:
+    """Return the inputs as the last argument of a function."""
+    return (_frombuffer(_buffer(u, call.bytes_of_inputs)[:]),)
+
+
+def _define(callback: str, driven: bool = False) -> None:
     """Define the trampoline of a plain callback: (t, q, v, an address for each output, context).
 
-    That of the force has the inputs before the outputs.
+    That of the force, or of driven constraints, has the inputs before the outputs.
     """
     is_force = callback == "force"
+    takes_inputs = is_force or driven
 
     def answer(t: float, q: Any, v: Any, *targets: Any) -> int:
         call = _from_handle(targets[-1])
@@ -107,16 +114,16 @@ def _define(callback: str) -> None:
         state: tuple[Any, ...] = _frombuffer(_buffer(q, size)[:]), _frombuffer(_buffer(v, size)[:])
         if is_force or call.timed:
             state = t, *state
-        if is_force:
+        if takes_inputs:
             inputs, targets = targets[0], targets[1:]
             if call.bytes_of_inputs:
-                state = *state, _frombuffer(_buffer(inputs, call.bytes_of_inputs)[:])
+                state = *state, *_inputs(call, inputs)
         for (name, shape), target in zip(call.plain[callback], targets):
             if target:
                 _write(target, getattr(call, name)(*state), shape, name)
         return 0
 
-    _trampoline(f"dal_py_{callback}")(answer)
+    _trampoline(f"dal_py_{'driven_' * driven}{callback}")(answer)
 
 
 for _callback in _PLAIN:
@@ -124,54 +131,62 @@ for _callback in _PLAIN:
 
 
 # The core asks linear constraints for mu alone, and never for phi = mu v.
-@_trampoline()
-def dal_py_linear(
-    t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
-) -> int:
-    call = _from_handle(ctx)
-    point: tuple[Any, ...] = (_frombuffer(_buffer(q, call.bytes)[:]),)
-    if call.timed:
-        point = t, *point
-    if phi_v:
-        _write(phi_v, call.forms(*point), call.matrix, "forms")
-    if phi_q or phi_t:
-        velocity = _frombuffer(_buffer(v, call.bytes)[:])
-    if phi_q:
-        _write(
-            phi_q,
-            call.forms_velocity_derivative(*point, velocity),
-            call.matrix,
-            "forms_velocity_derivative",
-        )
-    if phi_t:
-        _write(phi_t, call.constraint_t(*point, velocity), call.multipliers, "constraint_t")
-    return 0
-
-
-@_trampoline()
-def dal_py_affine(
-    t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
-) -> int:
-    call = _from_handle(ctx)
-    point: tuple[Any, ...] = (_frombuffer(_buffer(q, call.bytes)[:]),)
-    velocity = _frombuffer(_buffer(v, call.bytes)[:])
-    if call.timed:
-        point = t, *point
-    if phi or phi_v:
-        forms = _doubles(call.forms(*point), call.matrix, "forms")
+def _define_linear(driven: bool) -> None:
+    def answer(t: float, q: Any, v: Any, *targets: Any) -> int:
+        *inputs, phi, phi_v, phi_q, phi_t, ctx = targets
+        call = _from_handle(ctx)
+        point: tuple[Any, ...] = (_frombuffer(_buffer(q, call.bytes)[:]),)
+        if call.timed:
+            point = t, *point
+        last = _inputs(call, *inputs) if driven else ()
         if phi_v:
-            _memmove(phi_v, forms, forms.nbytes)
-        if phi:
-            shift = _doubles(call.affine(*point), call.multipliers, "affine")
-            _write(phi, forms @ velocity + shift, call.multipliers, "affine")
-    if phi_q:
-        name = "forms_velocity_derivative"
-        turn = _doubles(call.forms_velocity_derivative(*point, velocity), call.matrix, name)
-        shift = _doubles(call.affine_derivative(*point), call.matrix, "affine_derivative")
-        _write(phi_q, turn + shift, call.matrix, name)
-    if phi_t:
-        _write(phi_t, call.constraint_t(*point, velocity), call.multipliers, "constraint_t")
-    return 0
+            _write(phi_v, call.forms(*point, *last), call.matrix, "forms")
+        if phi_q or phi_t:
+            state = *point, _frombuffer(_buffer(v, call.bytes)[:]), *last
+        if phi_q:
+            name = "forms_velocity_derivative"
+            _write(phi_q, call.forms_velocity_derivative(*state), call.matrix, name)
+        if phi_t:
+            _write(phi_t, call.constraint_t(*state), call.multipliers, "constraint_t")
+        return 0
+
+    _trampoline(f"dal_py_{'driven_' * driven}linear")(answer)
+
+
+def _define_affine(driven: bool) -> None:
+    def answer(t: float, q: Any, v: Any, *targets: Any) -> int:
+        *inputs, phi, phi_v, phi_q, phi_t, ctx = targets
+        call = _from_handle(ctx)
+        point: tuple[Any, ...] = (_frombuffer(_buffer(q, call.bytes)[:]),)
+        velocity = _frombuffer(_buffer(v, call.bytes)[:])
+        if call.timed:
+            point = t, *point
+        last = _inputs(call, *inputs) if driven else ()
+        if phi or phi_v:
+            forms = _doubles(call.forms(*point, *last), call.matrix, "forms")
+            if phi_v:
+                _memmove(phi_v, forms, forms.nbytes)
+            if phi:
+                shift = _doubles(call.affine(*point, *last), call.multipliers, "affine")
+                _write(phi, forms @ velocity + shift, call.multipliers, "affine")
+        state = *point, velocity, *last
+        if phi_q:
+            name = "forms_velocity_derivative"
+            turn = _doubles(call.forms_velocity_derivative(*state), call.matrix, name)
+            shift = call.affine_derivative(*point, *last)
+            shift = _doubles(shift, call.matrix, "affine_derivative")
+            _write(phi_q, turn + shift, call.matrix, name)
+        if phi_t:
+            _write(phi_t, call.constraint_t(*state), call.multipliers, "constraint_t")
+        return 0
+
+    _trampoline(f"dal_py_{'driven_' * driven}affine")(answer)
+
+
+for _driven in (False, True):
+    _define_linear(_driven)
+    _define_affine(_driven)
+    _define("nonlinear", _driven)
 
 
 def _halves(call: Callables, x: Any) -> Pair:

@@ -57,12 +57,18 @@ FUNCTIONS = {
 OF_TIME = ("constraint_t", "lagrangian_vt")
 
 
-def taken(name: str, inputs: int = 0, timed: bool = False) -> str:
+def is_of_constraint(name: str) -> bool:
+    """Return whether a function is that of constraints, or a derivative of theirs."""
+    return name.startswith(("forms", "affine", "constraint"))
+
+
+def taken(name: str, inputs: int = 0, timed: bool = False, driven: bool = False) -> str:
     """Return what a function takes; of forces after the state the inputs, if there are any.
 
-    ``timed``: of a system that depends on time.
+    ``timed``: of a system that depends on time.  ``driven``: the constraints take inputs as well.
     """
-    takes_inputs = inputs > 0 and name in OUTPUTS["force"].values()
+    takes_inputs = name in OUTPUTS["force"].values() or (driven and is_of_constraint(name))
+    takes_inputs = takes_inputs and inputs > 0
     found = FUNCTIONS.get(name, "q, v") + ", u" * takes_inputs
     return f"t, {found}" if timed and not found.startswith("t, ") else found
 

@@ -113,6 +113,7 @@ class Handle(Constant):
     kind: str
     has_constant_mass: bool
     is_forced: bool
+    is_driven: bool
     is_time_dependent: bool
     inputs: tuple[str, ...]
     q0: Array | None
@@ -142,6 +143,7 @@ class Handle(Constant):
         }
         self.kind = {number: name for name, number in KINDS.items()}[lib.dal_system_kind(handle)]
         self.is_forced = bool(lib.dal_system_is_forced(handle))
+        self.is_driven = bool(lib.dal_system_is_driven(handle))
         constant = lib.dal_system_mass(handle, ffi.NULL) == lib.DAL_SUCCESS
         self.has_constant_mass = constant  # without n^2 numbers
         self.is_time_dependent = bool(lib.dal_system_is_time_dependent(handle))

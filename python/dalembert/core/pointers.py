@@ -15,7 +15,7 @@ from .extras import require
 from .library import ffi
 
 # Number of arguments of the callbacks of dalembert.h.
-ARGUMENTS = {"potential": 6, "constraint": 8, "lagrangian": 11, "force": 8}
+ARGUMENTS = {"potential": 6, "constraint": 8, "driven": 9, "lagrangian": 11, "force": 8}
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,10 @@ class Pointer:
     user_data: Any = None
 
 
-def find(name: str, value: Any) -> Pointer | None:
+def find(name: str, value: Any, callback: str | None = None) -> Pointer | None:
     """Return the C function that an argument ``name`` of `System` is; None if it is none.
+
+    ``callback``: which of `ARGUMENTS` it is to be; None: that of its name.
 
     Raises
     ------
@@ -56,10 +58,11 @@ def find(name: str, value: Any) -> Pointer | None:
     pointer, arguments = found
     if pointer.address == 0:
         raise ValueError(f"{name} = {value!r}: a C function at address NULL")
-    if arguments is not None and arguments != ARGUMENTS[name]:
+    callback = callback or name
+    if arguments is not None and arguments != ARGUMENTS[callback]:
         raise ValueError(
             f"{name} = {value!r}: a C function of {arguments} arguments, expected the "
-            f"{ARGUMENTS[name]} of dal_{name}_fn in dalembert.h"
+            f"{ARGUMENTS[callback]} of dal_{callback}_fn in dalembert.h"
         )
     return pointer
 

@@ -103,7 +103,7 @@ def ensemble(
         `Solution` that returns a number, an array, or a mapping from names to such: that is kept
         instead.
     inputs : array_like, mapping or callable, optional
-        Inputs of the force, as for `integrate`; or with leading axes, shape (..., holds, k).
+        Inputs, as for `integrate`; or with leading axes, shape (..., holds, k).
         Expressions are evaluated in C with the parameters of each member.
     hold, events, consistent, initial, max_iterations, energy, method, tolerance : optional
         As of `integrate`.  Events and resets that are expressions are computed in C.

@@ -310,7 +310,7 @@ class Chart(core.Constant):
 
     # ---- psi -----------------------------------------------------------------------------
 
-    def lift(self, xi: ArrayLike, t: ArrayLike = 0.0) -> Pair:
+    def lift(self, xi: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None) -> Pair:
         """Return the state psi(xi), which lies in D to roundoff (Embedd).
 
         Parameters
@@ -318,6 +318,8 @@ class Chart(core.Constant):
         xi : array_like, shape (2n-m,) or (N, 2n-m)
         t : float or array_like, shape (N,), optional
             Time of the states.
+        inputs : array_like, shape (k,) or (N, k), or mapping, optional
+            Those that constraints depend on; default: zeros.
 
         Returns
         -------
@@ -334,7 +336,7 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").lift([0, 2, 0, 1, 1])
         (array([0., 2., 0.]), array([1., 1., 2.]))
         """
-        x = self._of_coordinates(lib.dal_chart_lift, xi, t, (2 * self.system.n,))
+        x = self._of_coordinates(lib.dal_chart_lift, xi, t, (2 * self.system.n,), inputs=inputs)
         return mechanics.halves(x)
 
     def drop(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -362,7 +364,7 @@ class Chart(core.Constant):
         x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
         return self._charts.rows(lib.dal_chart_drop, single, x, (self._width,))
 
-    def jacobian(self, xi: ArrayLike, t: ArrayLike = 0.0) -> Array:
+    def jacobian(self, xi: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None) -> Array:
         """Return d(q, v)/dxi of `lift` (EhresJota).
 
         Parameters
@@ -370,6 +372,8 @@ class Chart(core.Constant):
         xi : array_like, shape (2n-m,) or (N, 2n-m)
         t : float or array_like, shape (N,), optional
             Time of the states.
+        inputs : array_like, shape (k,) or (N, k), or mapping, optional
+            Those that constraints depend on; default: zeros.
 
         Returns
         -------
@@ -387,7 +391,7 @@ class Chart(core.Constant):
         array([0., 3., 0., 2., 0.])
         """
         shape = (2 * self.system.n, self._width)
-        return self._of_coordinates(lib.dal_chart_jacobian, xi, t, shape, ffi.NULL)
+        return self._of_coordinates(lib.dal_chart_jacobian, xi, t, shape, ffi.NULL, inputs=inputs)
 
     @property
     def left_inverse(self) -> Array:

@@ -192,6 +192,8 @@ class Check:
     def _lines(self) -> list[tuple[str, Any]]:
         """Return what was found, each with its name; first the verdict."""
         curvature = f"{self.curvature:.3g}" + (", integrable" * self.integrable)
+        if self.passed and math.isnan(self.curvature):
+            curvature = "- (D changes with inputs)"
         on_kernel = f", on ker mu {self.kernel_min:.6g}" if self.kernel_min < math.inf else ""
         lines: list[tuple[str, Any]] = [
             ("passed" if self.passed else "FAILED", self.text),

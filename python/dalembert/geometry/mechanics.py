@@ -225,7 +225,12 @@ def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> An
 
 
 def residual(
-    system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0, t: ArrayLike = 0.0
+    system: Handle,
+    q: ArrayLike,
+    v: ArrayLike,
+    shift: float = 0.0,
+    t: ArrayLike = 0.0,
+    inputs: Any = None,
 ) -> Array:
     """Return phi(q - shift v, v): zero on D (shift 0) or on D_eps (shift (1 - beta) h).
 
@@ -239,6 +244,8 @@ def residual(
         A time, in the user's units.
     t : float or array_like, shape (N,), optional
         Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Those that constraints depend on; default: zeros.
 
     Returns
     -------
@@ -255,11 +262,16 @@ def residual(
     >>> dal.systems.particle().residual([0, 1, 0], [1, 1, 3])
     array([2.])
     """
-    return _quantity(system, q, v, "residual", t, shift=shift)
+    return _quantity(system, q, v, "residual", t, shift=shift, inputs=inputs)
 
 
 def relative_residual(
-    system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0, t: ArrayLike = 0.0
+    system: Handle,
+    q: ArrayLike,
+    v: ArrayLike,
+    shift: float = 0.0,
+    t: ArrayLike = 0.0,
+    inputs: Any = None,
 ) -> Any:
     """Return the largest ``|mu^a v| / (|mu^a| |v|)`` at (q - shift v, v).
 
@@ -279,6 +291,8 @@ def relative_residual(
         A time, in the user's units; 0 is D, (1 - beta) h is D_eps.
     t : float or array_like, shape (N,), optional
         Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Those that constraints depend on; default: zeros.
 
     Returns
     -------
@@ -295,7 +309,7 @@ def relative_residual(
     >>> dal.systems.particle().relative_residual([0, 1, 0], [1, 1, 2])
     0.25
     """
-    return _quantity(system, q, v, "relative", t, shift=shift)
+    return _quantity(system, q, v, "relative", t, shift=shift, inputs=inputs)
 
 
 def multipliers(
@@ -566,7 +580,12 @@ def perturbed(
 
 
 def project(
-    system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0, t: ArrayLike = 0.0
+    system: Handle,
+    q: ArrayLike,
+    v: ArrayLike,
+    shift: float = 0.0,
+    t: ArrayLike = 0.0,
+    inputs: Any = None,
 ) -> Array:
     """Return the velocity projected to D (shift 0) or to D_eps (shift (1 - beta) h).
 
@@ -581,6 +600,8 @@ def project(
         A time, in the user's units.
     t : float or array_like, shape (N,), optional
         Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Those that constraints depend on; default: zeros.
 
     Returns
     -------
@@ -600,15 +621,20 @@ def project(
     array([2., 1., 2.])
     """
     x, single = states(system, q, v)
-    projection(system, x, arguments.number(shift, "shift"), times(t, x, single))
+    rows = input_rows(system, inputs, len(x))
+    projection(system, x, arguments.number(shift, "shift"), times(t, x, single), rows)
     return core.first(halves(x)[1], single)
 
 
 def projection(
-    system: Handle, x: Array, shift: float = 0.0, t: float | list[float] = 0.0
+    system: Handle,
+    x: Array,
+    shift: float = 0.0,
+    t: float | list[float] = 0.0,
+    inputs: Array | None = None,
 ) -> Array:
     """Project the rows of ``x`` in place; return how far, in the mass metric, shape (N,)."""
-    return system._mechanics.rows(lib.dal_project, False, t, shift, x, ())
+    return system._mechanics.rows(lib.dal_project, False, t, shift, x, (), inputs=inputs)
 
 
 def consistent(
@@ -617,6 +643,7 @@ def consistent(
     v0: ArrayLike,
     keep: str | int | Iterable[str] | Iterable[int] | Iterable[bool] | None = None,
     t: ArrayLike = 0.0,
+    inputs: Any = None,
 ) -> Array:
     """Return the velocity in D nearest to v0 in the mass metric, with some components kept.
 
@@ -631,6 +658,8 @@ def consistent(
         or n truth values.
     t : float or array_like, shape (N,), optional
         Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Those that constraints depend on; default: zeros.
 
     Returns
     -------
@@ -653,7 +682,9 @@ def consistent(
     """
     x, single = states(system, q0, v0, ("q0", "v0"))
     mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
-    system._mechanics.rows(lib.dal_consistent, single, times(t, x, single), mask, x, ())
+    given = times(t, x, single), mask, x, ()
+    rows = input_rows(system, inputs, len(x))
+    system._mechanics.rows(lib.dal_consistent, single, *given, inputs=rows)
     return core.first(halves(x)[1], single)
 
 

@@ -36,8 +36,9 @@ def fill(run: Any, times: Array, x: Array) -> None:
         owner=(run.system._handle, kept),
     )  # fmt: skip
     changes = _changes(run, known)
+    rows = dict(zip(run.t.tolist(), run.x))  # which come back as they are
     for k, place in enumerate(places):
-        x[k] = states[place]
+        x[k] = rows.get(times[k], states[place])
         if times[k] != known[place]:
             x[k] = _reach(run, stepper, changes, float(known[place]), states[place], times[k])
 
@@ -45,10 +46,10 @@ def fill(run: Any, times: Array, x: Array) -> None:
 def _known(run: Any) -> tuple[Array, Array]:
     """Return the times and the states of rows and after resets, in the order of the run."""
     again = [~np.isnan(after).any(axis=1) for after in run.x_after]
-    t = np.concatenate([*(t[some] for t, some in zip(run.t_events, again)), run.t])
-    x = np.concatenate([*(x[some] for x, some in zip(run.x_after, again)), run.x])
+    t = np.concatenate([run.t, *(t[some] for t, some in zip(run.t_events, again))])
+    x = np.concatenate([run.x, *(x[some] for x, some in zip(run.x_after, again))])
     ahead = -1.0 if run.t[-1] < run.t[0] else 1.0
-    order = np.argsort(ahead * t, kind="stable")  # of those at one time the row is the last
+    order = np.argsort(ahead * t, kind="stable")  # at one time that after the reset is the last
     return t[order], x[order]
 
 
@@ -67,15 +68,18 @@ def _reach(run: Any, stepper: Any, changes: Array, t: float, x: Array, end: floa
     slack = 4 * np.spacing(max(abs(t), abs(end)))  # so near a change is at t, or at the end
     passed = changes[(ahead * (changes - t) > slack) & (ahead * (end - changes) > slack)]
     for until in [*passed.tolist(), end]:
-        if len(run.inputs):
-            row = np.searchsorted(ahead * changes, ahead * t + slack, side="right") - 1
-            core.call(kind, lib.dal_stepper_input, stepper, run.inputs[max(row, 0)].copy())
+        row = max(np.searchsorted(ahead * changes, ahead * t + slack, side="right") - 1, 0)
+        if len(run.inputs):  # the state may lie in the D of those before
+            row_before = max(row - run.system.is_driven, 0)
+            core.call(kind, lib.dal_stepper_input, stepper, run.inputs[row_before].copy())
         pieces = 1 if run.control else math.ceil(abs((until - t) / run.h) * (1 - 1e-9))
         core.call(
             kind, lib.dal_stepper_start, stepper, t,
             ahead * np.inf if by_motion else (until - t) / pieces, x,
             lib.DAL_ASSUME, lib.DAL_INITIAL_NONE,
         )  # fmt: skip
+        if run.system.is_driven and len(run.inputs):
+            core.call(kind, lib.dal_stepper_input, stepper, run.inputs[row].copy())
         if run.control:
             core.call(kind, lib.dal_stepper_until, stepper, until)
             while lib.dal_stepper_time(stepper) != until:

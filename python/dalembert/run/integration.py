@@ -33,7 +33,7 @@ from .events import take as take_events
 from .journal import Journal, describe
 from .laws import take_inputs
 from .options import kind_of, require, word_of
-from .runs import Run, idle_steppers, started_stepper
+from .runs import Run, first_inputs, idle_steppers, started_stepper
 from .scheme import Scheme
 from .solution import Solution, rank_doubt
 from .steps import Steps, options_of
@@ -138,11 +138,13 @@ def integrate(
         Step of "reversible", in units of the time in which the motion changes; at most 0.2.
         Default: that of the scheme, 0.13 for bm6.
     inputs : array_like, mapping or callable, optional
-        Of the force of a system that takes k of them, constant over a step.  An array, shape
+        Of a system that takes k of them, constant over a step.  An array, shape
         (steps, k), or (k,) for all steps; a mapping from their names to numbers or arrays of shape
         (steps,); or a controller ``inputs(t, q, v) -> (k,)``, called where the steps begin; or a
         mapping to expressions of time, coordinates, velocities and parameters, ``{tau: -K * x}``,
         which are compiled and evaluated there.  Default: 0.  They come back as ``run.inputs``.
+        Where constraints depend on them, v0 has to satisfy these with the first inputs, and a
+        change moves the velocity into the new D, as an impact does.
     hold : int or float, optional
         Each row of inputs is for so many steps: an array then has ceil(steps / hold) rows.
         Default: 1.  With "auto" for so long a time, and steps end where the inputs change: an array
@@ -246,12 +248,13 @@ def integrate(
         rows = sizes.count // stride if times is None else len(times)
         _require_memory(system, rows, sizes.count, stride)
 
+    first = first_inputs(system, inputs, sizes.holds(hold), x0, t0)
     of_series = chosen.is_series  # which have no stepper, but of C's flow their initial data
     starter = Scheme.find("reference") if of_series else chosen
     idle = idle_steppers(system, starter, options)
     stepper = started_stepper(
         system, starter, x0, t0=t0, h=sizes.first, consistency=consistency, initial=start,
-        options=options, idle=idle,
+        options=options, idle=idle, inputs=first,
     )  # fmt: skip
 
     def begin(run: Run) -> None:
@@ -261,7 +264,7 @@ def integrate(
 
     solution = _make(
         begin, progress, throw, system, chosen if of_series else record, stepper, steps=sizes,
-        stride=stride, observer=observer, inputs=inputs, hold=hold,
+        stride=stride, observer=observer, inputs=inputs, hold=hold, first=first,
         watch=Watch.of(system, stepper, starter, listed, times),
     )  # fmt: skip
     idle.append(stepper)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +44,7 @@ def reference(
     method: str = "rk8pd",
     tolerance: float = 1e-13,
     coordinates: str = "x",
+    inputs: Any = None,
 ) -> Reference:
     """Return the state of the ODE on D at one time, by an adaptive method.
 
@@ -65,6 +66,8 @@ def reference(
     coordinates : {"x", "xi"}, optional
         Of the ODE: the states (q, v), or those of charts of D (`Chart`), which are changed on the
         way where they become ill conditioned.
+    inputs : array_like, shape (k,), or mapping, optional
+        Those of all the time; default: zeros.  Not with Taylor series.
 
     Returns
     -------
@@ -94,13 +97,17 @@ def reference(
     flow_method = arguments.choice(method, "method", METHODS)
     tolerance = arguments.tolerance(tolerance)
     coordinate = arguments.choice(coordinates, "coordinates", COORDINATES)
+    acting = arguments.inputs(inputs, system.inputs, 1)[0].copy()
+    if method == "taylor" and inputs is not None:
+        raise ValueError(f"inputs = {arguments.shown(inputs)}: method='taylor' takes none")
     if method == "taylor":
         require_supported(system, coordinates=None if coordinates == "x" else coordinates)
         x = consistent_state(system, x0, t0, consistency)
         x, error = state(system, x, t0, t, tolerance)
         return Reference(x[: system.n], x[system.n :], error)
     flow = system._c("flow", flow_method, coordinate, tolerance)
-    x = consistent_state(system, x0, t0, consistency)
+    core.call(system.kind, lib.dal_flow_input, flow, acting)
+    x = consistent_state(system, x0, t0, consistency, acting)
     accuracy = np.empty(1)
     with core.watching(flow):
         core.call(system.kind, lib.dal_flow_apply, flow, t0, t, x, accuracy)

@@ -53,8 +53,12 @@ def started_stepper(
     initial: int = lib.DAL_INITIAL_NONE,
     options: Any = ffi.NULL,
     idle: list[Any] | None = None,
+    inputs: Array | None = None,
 ) -> Any:
-    """Return a ``dal_stepper``, of idle ones if possible, at initial data that C has checked."""
+    """Return a ``dal_stepper``, of idle ones if possible, at initial data that C has checked.
+
+    ``inputs``: those at the start, for constraints that depend on them; None: zeros.
+    """
     try:
         stepper = (idle or []).pop()
     except IndexError:
@@ -62,17 +66,32 @@ def started_stepper(
         owner = system._handle, kept
         stepper = core.make("stepper", system._handle, record, options, owner=owner)
     raised.exception = None
+    if inputs is not None:
+        lib.dal_stepper_input(stepper, core.pointer(inputs))
     status = lib.dal_stepper_start(stepper, t0, h, core.pointer(x0), consistency, initial)
     if status < 0:
         hint = OFF_D if status == lib.DAL_EOFFD else ""
+        if hint and system.is_driven:
+            hint = of_inputs(system, inputs) + hint
         core.verify(status, stepper, system.kind, hint=hint, step=0, t=t0)
     return stepper
 
 
-def consistent_state(system: System, x0: Array, t0: float, consistency: int) -> Array:
+def of_inputs(system: System, inputs: Array | None) -> str:
+    """Return which D is meant at the start, where it depends on inputs."""
+    values = np.zeros(len(system.inputs)) if inputs is None else inputs
+    first = ", ".join(f"{name} = {u:g}" for name, u in zip(system.inputs, values))
+    return f"; D is that of the first inputs, {first}"
+
+
+def consistent_state(
+    system: System, x0: Array, t0: float, consistency: int, inputs: Array | None = None
+) -> Array:
     """Return what every scheme would start from, shape (2n,)."""
     scheme = Scheme.find("explicit")
-    stepper = started_stepper(system, scheme, x0, t0=t0, h=1.0, consistency=consistency)
+    stepper = started_stepper(
+        system, scheme, x0, t0=t0, h=1.0, consistency=consistency, inputs=inputs
+    )
     return core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
 
 
@@ -92,6 +111,7 @@ class Run:
         inputs: Array | Callable[..., Any] | None = None,
         hold: float = 1,
         watch: Watch | None = None,
+        first: Array | None = None,
     ) -> None:
         self.timed = watch is not None and watch.times is not None
         self.system, self.scheme, self.stepper, self.steps = system, scheme, stepper, steps
@@ -116,6 +136,8 @@ class Run:
         ffi.memmove(self.x, lib.dal_stepper_state(stepper), 16 * system.n)
         if self.inputs is not None:
             run.inputs = core.pointer(self.inputs)
+        if first is not None and is_control(inputs):  # which was asked for them
+            run.handed = 1
         if observer is not None or callable(inputs):
             self._call_back(observer, inputs)
         self.law = inputs if isinstance(inputs, Law) else None
@@ -306,6 +328,24 @@ def one_row(value: Any, names: tuple[str, ...]) -> Array:
     if value is None:
         raise ValueError(f"inputs has to return shape ({len(names)},), it returned None")
     return arguments.inputs(value, names, 1)[0]
+
+
+def first_inputs(system: System, inputs: Any, holds: int, x0: Array, t0: float) -> Array | None:
+    """Return the inputs of the first step, in whose D the initial data have to lie.
+
+    None if D does not depend on inputs, or there are none.
+    """
+    if not system.is_driven or inputs is None:
+        return None
+    if isinstance(inputs, Law):
+        law, _kept = inputs.in_c(system)
+        found, raised.exception = np.full(len(system.inputs), np.nan), None
+        status = lib.dal_law_control(0, t0, core.pointer(x0), core.pointer(found), law)
+        core.check(lib.DAL_EUSER if status else lib.DAL_SUCCESS)
+        return arguments.inputs(found, system.inputs, 1)[0]
+    if callable(inputs):
+        return one_row(inputs(t0, *np.split(x0.copy(), 2)), system.inputs)
+    return arguments.inputs(inputs, system.inputs, holds)[0].copy()
 
 
 def _input_buffer(

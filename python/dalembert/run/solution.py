@@ -188,11 +188,12 @@ class Solution(Mapping[str, Any]):
     y : ndarray, shape (2n, N+1)
         ``x`` transposed, a view, as SciPy has it.
     multipliers : ndarray, shape (N+1, m)
-        lambda(q, v) by the formula at the stored states: forces.
+        lambda(q, v) by the formula at the stored states: forces.  A jump of the velocity, where
+        inputs of constraints change, is not in them.
     reactions : ndarray, shape (N, m)
         The scheme's own multipliers: mean forces over the intervals between stored states,
-        belonging to their middles.  NaN for the reference flow, which has none, and where the
-        states are those of ``t_eval``.
+        belonging to their middles, with the impulses of jumps.  NaN for the reference flow, which
+        has none, and where the states are those of ``t_eval``.
     energy : ndarray, shape (N+1,)
     constraint : ndarray, shape (N+1, m)
         phi(q, v), which is mu(q) v for linear constraints.
@@ -200,9 +201,10 @@ class Solution(Mapping[str, Any]):
         Relative residual, as `System.relative_residual`, of the set that the scheme keeps: D for
         moved nodes, D_eps (phi at q - shift v) for kept ones.
     inputs : ndarray, shape (holds, k)
-        Of the force: row i over the steps i * hold, ..., (i + 1) * hold - 1; no rows if none were
-        given, and the inputs are 0.  The multipliers of a state are those with the inputs that
-        begin there.
+        Row i over the steps i * hold, ..., (i + 1) * hold - 1; no rows if none were given, and the
+        inputs are 0.  The multipliers of a state are those with the inputs that begin there; if
+        constraints depend on inputs, multipliers and residual have those of the step that ended
+        there.
     hold : int
     t_events : tuple of ndarray, shape (K,)
         For each event the times at which it happened.
@@ -407,10 +409,32 @@ class Solution(Mapping[str, Any]):
         )
 
     def _inputs_of_rows(self) -> Array:
-        """Return the inputs that begin, or go on, at each stored state."""
+        """Return the inputs that belong to each stored state.
+
+        They are those that begin, or continue, there.  If constraints depend on inputs they are
+        those of the step that ended there, which the velocity satisfies.
+        """
+        if self.system.is_driven:
+            return self._inputs_before_rows()
         if self.times is not None:
             return self._inputs_at(self.times)
         return self._rows_of_inputs(np.arange(len(self.x)) * self.stride // int(self.hold))
+
+    def _inputs_before_rows(self) -> Array:
+        """Return the inputs of the steps that ended at the stored states."""
+        if self.times is None:
+            last = np.arange(len(self.x)) * self.stride - 1
+            return self._rows_of_inputs(last.clip(0) // int(self.hold))
+        passed = np.abs(self.times - self.t0)
+        if self.control:
+            rows = np.ceil(passed / self.hold * (1 - 4e-16)).astype(int) - 1
+        else:
+            rows = (np.ceil(passed / abs(self.h) - 1e-9).astype(int) - 1) // int(self.hold)
+        # a row at the time of the one before, and that of a terminal event, may be after a jump
+        rows[1:] += self.times[1:] == self.times[:-1]
+        if any(self.times[-1] in t[-1:] for t in self.t_events):
+            rows[-1] = len(self.inputs) - 1
+        return self._rows_of_inputs(rows.clip(0))
 
     def _inputs_at(self, times: Array) -> Array:
         """Return the inputs that begin, or go on, at times."""

@@ -31,6 +31,9 @@ class Stepper:
     ----------
     system, scheme, q0, v0, h, t0, consistent, initial, max_iterations, energy
         As of `integrate`, for a number h.
+    inputs : array_like, shape (k,), or mapping, optional
+        Those until `step` gives others, 0 by default.  Where constraints depend on inputs, v0 has
+        to satisfy them with these.
 
     Attributes
     ----------
@@ -68,6 +71,7 @@ class Stepper:
         initial: str | None = None,
         max_iterations: int | None = None,
         energy: str | None = None,
+        inputs: Any = None,
     ) -> None:
         require_system(system)
         self.system = system
@@ -84,12 +88,13 @@ class Stepper:
         )  # fmt: skip
         options = options_of({}, max_iterations, energy)
         self._x0 = geometry.initial_state(system, q0, v0)
+        self._u0 = arguments.inputs(inputs, system.inputs, 1)[0].copy()
         self._handle = started_stepper(
             system, self.scheme, self._x0, t0=self._t0, h=step, consistency=self._how[0],
-            initial=self._how[1], options=options,
+            initial=self._how[1], options=options, inputs=self._u0,
         )  # fmt: skip
         doubt_positions(system, self._x0, self._t0, self._how[0])
-        self._u = np.zeros(len(system.inputs))
+        self._u = self._u0.copy()
         self._c_u = core.pointer(self._u)
         self._mean = np.full(system.m, np.nan)
         self._c_mean = core.pointer(self._mean, output=True)
@@ -104,7 +109,9 @@ class Stepper:
         Parameters
         ----------
         inputs : array_like, shape (k,), or mapping, optional
-            Of the force, or by their names; they stay until they are changed.  None: as they are.
+            As numbers, or by their names; they stay until they are changed.  None: as they are.
+            If constraints depend on them, a change moves the velocity into the new D before the
+            step.
         steps : int, optional
 
         Raises
@@ -223,7 +230,7 @@ class Stepper:
     ) -> None:
         """Start anew from a state, by default the first one, at a time, by default the first one.
 
-        The inputs are 0 then.  If it fails the stepper is as it was.
+        The inputs are those of the constructor then.  If it fails the stepper is as it was.
 
         Parameters
         ----------
@@ -240,11 +247,15 @@ class Stepper:
         x = self._x0 if q is None else geometry.initial_state(self.system, q, v, "q", "v")
         t = self._t0 if t is None else arguments.number(t, "t")
         doubt_positions(self.system, x, t, self._how[0])
-        core.call(
-            self.system.kind, lib.dal_stepper_start, self._handle, t, self.h, x, *self._how
-        )
-        self._u[:] = 0.0
-        lib.dal_stepper_input(self._handle, self._c_u)
+        before = self.inputs
+        self._set(self._u0)
+        try:
+            core.call(
+                self.system.kind, lib.dal_stepper_start, self._handle, t, self.h, x, *self._how
+            )
+        except BaseException:
+            self._set(before)
+            raise
         self._mean[:] = np.nan
 
     def __repr__(self) -> str:

@@ -33,7 +33,8 @@ def system(self: System) -> str | None:
         return None
     names, values = self.coordinates, self.parameters.items()
     kind = "" if self.has_constant_mass else "general Lagrangian"
-    traits = [kind, "force" * self.is_forced, "depends on time" * self.is_time_dependent]
+    traits = [kind, "force" * self.is_forced, "driven" * self.is_driven]
+    traits.append("depends on time" * self.is_time_dependent)
     rows = [
         ("coordinates", _few([f"{x} ({u})" if (u := self.unit(x)) else x for x in names])),
         ("constraints", f"{self.m}, {self.kind}" if self.m else "none"),

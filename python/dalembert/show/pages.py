@@ -258,7 +258,7 @@ def _facts(system: System) -> list[tuple[str, str]]:
     ]
     if system.is_forced:
         rows.append(("force", "besides that of the Lagrangian"))
-    if system.m and system.kind == "linear":
+    if system.m and system.kind == "linear" and not system.is_driven:
         curved = (
             "integrable: a holonomic constraint in disguise"
             if found.integrable
@@ -308,6 +308,7 @@ def _invariants(system: System, runs: Sequence[Solution]) -> web.Section:
     words = f"The drift is the largest change from t = 0 to {END}." if rows else "None is known."
     if not conserved:
         why = "there is a force" if system.is_forced else "the constraints do work"
+        why = "inputs drive the constraints" if system.is_driven else why
         why = "the system depends on time" if system.is_time_dependent else why
         words += f" The energy is not among them: {why}."
     drifts = [f"drift of {SCHEME}, h = {STEP:g}", f"of {FINE}, h = {FINE_STEP:g}"]

@@ -23,7 +23,7 @@ from sympy.logic.boolalg import BooleanFalse, BooleanTrue
 from .model import FUNCTIONS, Function, Model, nearest
 from .pattern import MOST, field_zeros, pattern
 
-GENERATOR = 3  # changes with what is generated, as the files of this module do
+GENERATOR = 4  # changes with what is generated, as the files of this module do
 
 # Above this number of coordinates a step routine of the model's own, whose arrays are on the stack,
 # gains nothing over the library's.
@@ -57,6 +57,14 @@ _SIGNATURES = {
     "mass": "double *M",
     "state": "double *x",
 }
+
+
+def _signature(model: Model, name: str) -> str:
+    """Return the arguments of a callback."""
+    signature = _SIGNATURES[name]
+    if name == "constraint" and model.is_driven:
+        return signature.replace("double *phi,", "const double *u, double *phi,")
+    return signature
 
 
 @dataclass
@@ -209,21 +217,21 @@ def _function(
     left = map(give, reduced)
     values = {output: dict(zip(entries, left)) for output, entries in values.items()}
     computed = [*(e for x in values.values() for e in x.values()), *(e for _, e in temporaries)]
-    of_force = function.name in ("force", *_OF_STEPS)
+    signature, real = _signature(model, function.name), print_c.real
+    takes_inputs = "double *u" in signature
     inline = fast and function.name in ("constraint", "potential", *_OF_STEPS)
     inline = inline and _are_few(computed)
     used = {s.name for e in computed for s in e.free_symbols}
 
-    signature, real = _SIGNATURES[function.name], print_c.real
     made.add("DAL_KERNEL_INLINE int" if inline else "static int")
     name = print_c.name(f"model_{function.name}")
     made.add(f"{name}({signature}, const double *p)\n{{".replace("double", real))
     n = model.n
     arrays = [("start", 2 * n)] if "start" in signature else [("q", n), ("v", n)]
-    arrays += [("u", len(model.u))] if of_force else []
+    arrays += [("u", len(model.u))] if takes_inputs else []
     arrays.append(("p", len(model.p)))
     places = (f"{name}[{i}]" for name, count in arrays for i in range(count))
-    inputs = model.u if of_force else ()
+    inputs = model.u if takes_inputs else ()
     for symbol, place in zip((*model.q, *model.v, *inputs, *model.p), places):
         if symbol.name in used:
             made.add(f"    const {real} {symbol.name} = {place};")
@@ -342,7 +350,7 @@ def _kernel(made: Program, model: Model) -> None:
     constrain = "((void)(k), (void)(t), (void)(q), (void)(v), (void)(mu), (void)(N), 0)"
     constrain_all = constrain.replace("(void)(mu)", "(void)(phi), (void)(mu)")
     if model.m > 0:
-        made.add(_INSIDE["constraint"])
+        made.add(_INSIDE["constraint"].format(u="k->input, " if model.is_driven else ""))
         constrain = "model_inside_constraint(k, t, q, v, NULL, mu, N)"
         constrain_all = "model_inside_constraint(k, t, q, v, phi, mu, N)"
     macros["KERNEL"] = "model_steps"
@@ -414,10 +422,10 @@ def _compiled(made: Program, model: Model, lanes: bool) -> None:
 _INSIDE = {
     "constraint": """DAL_KERNEL_INLINE int model_inside_constraint(dal_kernel *k, double t,
     const double *q, const double *v, double *phi, double *mu, double *N)
-{
+{{
     k->stats.constraint_calls++;
-    return model_constraint(t, q, v, phi, mu, N, NULL, k->constraint_ctx);
-}
+    return model_constraint(t, q, v, {u}phi, mu, N, NULL, k->constraint_ctx);
+}}
 """,
     "pull": """DAL_KERNEL_INLINE int model_inside_pull(dal_kernel *k, double t, const double *q,
     double *V_q)
@@ -593,7 +601,8 @@ def _definition(model: Model, fast: bool, compact: bool) -> list[str]:
     found = [f".n = {model.n}", f".m = {model.m}", f".kind = DAL_{derived.kind.upper()}"]
     for name in ("lagrangian", "potential", "constraint", "force", "exact", "invariant"):
         if derived.function(name) is not None:
-            found.append(f".{name} = model_call_{name}")
+            member = "driven" if name == "constraint" and model.is_driven else name
+            found.append(f".{member} = model_call_{name}")
     if model.inputs:
         found.append(f".inputs = {len(model.inputs)}")
     if model.is_time_dependent:

@@ -92,15 +92,20 @@ class Evaluation:
         }
 
         def called(name: str, output: str) -> Function:
-            return _callable(made[output], name, functions.shape(output, n, m), n, p)
+            last = int(model.is_driven and functions.is_of_constraint(name))
+            return _callable(made[output], name, functions.shape(output, n, m), n, p, last)
 
         found = {name: called(name, output) for output, name in names.items() if output in made}
         if kind == "affine":
-            slope = made["phi_q"]
+            slope, at = made["phi_q"], -2 if model.is_driven else -1  # the place of v
             found["affine"] = called("affine", "phi")
             found["affine_derivative"] = called("affine_derivative", "phi_q")
             found["forms_velocity_derivative"] = lambda *point: np.reshape(
-                np.subtract(slope(*point, p), slope(*point[:-1], np.zeros(n), p)), (m, n)
+                np.subtract(
+                    slope(*point, p),
+                    slope(*point[:at], np.zeros(n), *point[len(point) + at + 1 :], p),
+                ),
+                (m, n),
             )
         if model.exact is not None:
             exact = model.callables("exact")["x"]
@@ -131,13 +136,21 @@ class Evaluation:
 
 
 def _callable(
-    function: Function, name: str, shape: tuple[int, ...], n: int, p: Array
+    function: Function, name: str, shape: tuple[int, ...], n: int, p: Array, last: int
 ) -> Function:
-    """Return a function with its parameters put in, which takes what System asks of the name."""
+    """Return a function with its parameters put in, which takes what System asks of the name.
+
+    ``last``: how many arguments stand behind v, which are the inputs.
+    """
     zero = (np.zeros(n),) if functions.FUNCTIONS[name] == "q" else ()
+
+    def whole(*given: Any) -> Any:
+        end = len(given) - last
+        return function(*given[:end], *zero, *given[end:], p)
+
     if shape:
-        return lambda *given: np.reshape(function(*given, *zero, p), shape)
-    return lambda *given: float(function(*given, *zero, p)[0])
+        return lambda *given: np.reshape(whole(*given), shape)
+    return lambda *given: float(whole(*given)[0])
 
 
 def _depth() -> int:

@@ -123,8 +123,10 @@ def make_model(
         )
     components = None if forces is None else translate.force(forces)
     for key, u in zip(acting, translate.inputs.values()):
-        if not any(u in f.free_symbols for f in components or ()):
-            raise ValueError(f"inputs: {key} does not act: the force does not depend on it")
+        if not any(u in e.free_symbols for e in (*(components or ()), *phi)):
+            raise ValueError(
+                f"inputs: {key} does not act: neither the force nor a constraint depends on it"
+            )
     start = None if state is None else translate.several(state, "(q0, v0)")
     for e in start or ():
         if e.free_symbols - set(translate.rule.values()):
@@ -174,13 +176,14 @@ def _require_derivatives(model: Model, values: list[float]) -> None:
         return
     rates = [sympy.diff(e, models.TIME) for e in model.positions]
     slopes = [sympy.diff(e, x) for e in model.constraints for x in model.v]
-    state = [models.TIME, model.q, model.v, model.p]
+    state = [models.TIME, model.q, model.v, [*model.p, *model.u]]
+    values = [*values, *source.uniform(0.2, 1.0, len(model.u))]
     at = sympy.lambdify(state, [*rates, *model.constraints, *slopes], "math", cse=True)
     for scale in (1.0, -1.0, 10.0, -10.0, 0.1):
         t, q, v = 1.0, scale * source.uniform(0.2, 1.0, n), source.uniform(0.2, 1.0, n)
         try:
             found, other = (np.array(at(t, q, w, values), dtype=float) for w in (v, 2.0 * v))
-            G = np.reshape(model.at_positions(t, q, values)[k:], (k, n))
+            G = np.reshape(model.at_positions(t, q, values[: len(model.p)])[k:], (k, n))
         except (ArithmeticError, ValueError, TypeError):
             continue  # outside of the domain
         mu = found[k + m :].reshape(m, n)
@@ -237,7 +240,9 @@ class Translation:
         if with_inputs:
             expression = expression.xreplace(self.inputs)
         elif acting := sorted(str(u) for u in self.inputs if expression.has(u)):
-            raise ValueError(f"{where}: {acting[0]} is an input; only a force may depend on it")
+            raise ValueError(
+                f"{where}: {acting[0]} is an input; only forces and constraints may depend on it"
+            )
         if expression.has(sympy.Derivative):
             _refuse_rates(expression, where)
         named = {s: _kind_and_name(s) for s in expression.atoms(Coordinate, Velocity)}
@@ -286,17 +291,17 @@ class Translation:
             raise ValueError(
                 f"{where}: {', '.join(left)} is neither a coordinate ({', '.join(self.names)}) nor "
                 f"a parameter ({', '.join(self.values) or 'there are none'})"
-                + (", nor in inputs=" if where.startswith("force") else "")
+                + (", nor in inputs=" if where.startswith(("force", "constraints")) else "")
             )
 
     def constraint(self, a: int, given: Any) -> Expr:
         """Return what vanishes: an expression, or a form of n coefficients times the velocity."""
         where, n = f"constraints[{a}]", len(self.q)
         if not isinstance(given, list):
-            return self(given, where, self.clock)
+            return self(given, where, self.clock, True)
         if len(given) != n:
             raise ValueError(f"{where}: expected {n} coefficients, got {len(given)}")
-        row = [self(c, where, self.clock) for c in given]
+        row = [self(c, where, self.clock, True) for c in given]
         for i, c in enumerate(row):
             if c.free_symbols & set(self.v):
                 raise ValueError(

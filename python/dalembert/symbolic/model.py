@@ -441,7 +441,7 @@ class Model:
     L : sympy.Expr
         The Lagrangian.
     constraints : tuple of sympy.Expr
-        What has to vanish.
+        What has to vanish; may contain the inputs, which are constant over a step.
     force : tuple of sympy.Expr or None
         The n components of the generalized force; may contain the inputs.  All may contain t.
     state : tuple of sympy.Expr or None
@@ -453,7 +453,7 @@ class Model:
     assumptions : tuple of tuple of str
         For each parameter what has to hold of its values: "positive", ...
     inputs : tuple of str
-        Names; u0 is the first input of the force.
+        Names; u0 is the first input of the force and the constraints.
     positions : tuple of sympy.Expr
         Constraints on q, and the time, whose derivatives by the time are among the constraints.
     """
@@ -503,6 +503,11 @@ class Model:
         """Whether something besides the force depends on time."""
         return any(TIME in e.free_symbols for e in (self.L, *self.constraints))
 
+    @property
+    def is_driven(self) -> bool:
+        """Whether a constraint depends on inputs."""
+        return any(u in e.free_symbols for e in self.constraints for u in self.u)
+
     @functools.cached_property
     def key(self) -> str:
         """A digest of everything but the names."""
@@ -548,13 +553,13 @@ class Model:
         """Return a function of Python for each output of a function.
 
         It takes (q, v, p); an exact solution and a force, and all functions of a model that depends
-        on time, (t, q, v, p); and a force besides the inputs before p.
+        on time, (t, q, v, p); what depends on inputs takes them before p.
         """
         function = self.derived.function(name)
         arguments = [self.q, self.v, self.p]
         if name in ("force", "exact") or (self.is_time_dependent and name not in ("mass", "state")):
             arguments.insert(0, TIME)
-        if name == "force" and self.inputs:
+        if (name == "force" and self.inputs) or (name == "constraint" and self.is_driven):
             arguments.insert(-1, self.u)
         return {
             output: sympy.lambdify(
@@ -1023,9 +1028,9 @@ def require_known(
             hint = "write its formula in place of it"
             if [str(x) for x in e.args] == [TIME.name]:
                 hint = (
-                    "a coordinate belongs into coordinates=, what drives a force into inputs=, and "
-                    "a generalized speed is replaced by velocities after its kinematic "
-                    f"differential equation, as by .subs({shown(e)}, ...)"
+                    "a coordinate belongs into coordinates=, what drives a force or a constraint "
+                    "into inputs=, and a generalized speed is replaced by velocities after its "
+                    f"kinematic differential equation, as by .subs({shown(e)}, ...)"
                 )
             raise ValueError(f"{where}: {shown(e)} is an unknown function; {hint}")
         names = {f.__name__ for f in (*FUNCTIONS, *_STRUCTURE) if issubclass(f, sympy.Function)}

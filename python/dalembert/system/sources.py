@@ -151,6 +151,7 @@ class Functions(Source):
     time_dependent: bool
     positional: bool
     sparsity: sparsity.Sparsity | None
+    driven: bool
 
     def named(self) -> dict[str, Function | None]:
         return self.given | self.invariants
@@ -161,6 +162,7 @@ class Functions(Source):
         numbers = [self.n, self.m, bool(self.steady), self.time_dependent]
         entries = self.sparsity and [x.tolist() for x in self.sparsity[:2]]
         more = [self.positional, entries] if self.positional or entries else []
+        more += ["driven"] * self.driven
         return ["functions", given, numbers, mass, self.coordinates, self.inputs, *more]
 
     def define(
@@ -201,7 +203,8 @@ class PythonFunctions(Functions):
             if given[key] is not None
         }
         if self.m > 0:
-            callbacks["constraint"] = getattr(lib, f"dal_py_{kind}")
+            name = "driven" if self.driven else "constraint"
+            callbacks[name] = getattr(lib, f"dal_py_{'driven_' * self.driven}{kind}")
         handle = self.define(
             callbacks, KINDS[kind], core.functions.missing(given, self.m, kind, timed),
             ffi.new_handle(callables), callables,
@@ -218,12 +221,16 @@ class CFunctions(Functions):
     ctx: Any
 
     def make(self) -> Made:
-        compiled = _compiled(self.given)
+        compiled = _compiled(self.given, self.driven)
         kind = arguments.choice("linear" if self.kind is None else self.kind, "kind", KINDS)
         outputs = core.functions.MISSING
         missing = sum({arguments.choice(x, "missing", outputs) for x in self.missing or ()})
         context, kept = pointers.context(self.ctx, compiled)
-        callbacks = {key: ffi.cast(f"dal_{key}_fn", x.address) for key, x in compiled.items()}
+        names = {"constraint": "driven"} if self.driven else {}
+        callbacks = {
+            name: ffi.cast(f"dal_{name}_fn", x.address)
+            for key, x in compiled.items() if (name := names.get(key, key))
+        }  # fmt: skip
         handle = self.define(callbacks, kind, missing, context, kept)
         exact = self.given["exact"]
         return Made(handle, exact, self.invariants, exact is not None)
@@ -234,14 +241,20 @@ def functions(given: dict[str, Any]) -> Functions:
     invariants, mass, n, m = (given[key] for key in ("invariants", "mass", "n", "m"))
     by_name = {key: given[key] for key in core.functions.FUNCTIONS}
     require_named(invariants)
-    compiled = _compiled(by_name)
-    inputs = _input_names(given["inputs"], by_name["force"])
+    driven = bool(given["driven"])
+    compiled = _compiled(by_name, driven)
+    inputs = _input_names(given["inputs"], by_name["force"], driven)
+    if driven and not inputs:
+        raise ValueError("driven = True: expected inputs with it, on which the constraints depend")
+    if driven and by_name["forms"] is None and by_name["constraint"] is None:
+        raise ValueError("driven = True: there are no constraints")
     timed = bool(given["time_dependent"])
     for key, function in {**by_name, **(invariants or {})}.items():
         if function is not None and key in core.functions.OF_TIME and not timed:
             raise ValueError(f"{key}: expected time_dependent=True with it")
         if key not in compiled:
-            arguments.function(function, key, core.functions.taken(key, len(inputs), timed))
+            taken = core.functions.taken(key, len(inputs), timed, driven)
+            arguments.function(function, key, taken)
     for_c = {key: given[key] for key in ("kind", "missing", "ctx")}
     if compiled:
         _require_compiled(by_name, compiled, mass, m)
@@ -269,7 +282,8 @@ def functions(given: dict[str, Any]) -> Functions:
         m = arguments.integer(0 if m is None else m, "m", 0)
     else:
         functions = by_name["forms"], by_name["constraint"]
-        m = _number_of_constraints(*functions, m, size, state, timed)
+        last = (np.zeros(len(inputs)),) if driven else ()
+        m = _number_of_constraints(*functions, m, size, state, timed, last)
     about = {key: given[key] for key in ("name", "help", "description", "source")}
     lines = arguments.names(given["formulas"], "formulas", "several lines")
     about["formulas"] = "\n".join(lines)
@@ -277,12 +291,12 @@ def functions(given: dict[str, Any]) -> Functions:
     steady = given["steady"]
     common = (
         by_name, matrix, size, m, about, names, state, own, steady, inputs, timed, positional,
-        pattern,
+        pattern, driven,
     )  # fmt: skip
     return CFunctions(*common, **for_c) if compiled else PythonFunctions(*common)
 
 
-def _input_names(given: Sequence[str] | int | None, force: Any) -> list[str]:
+def _input_names(given: Sequence[str] | int | None, force: Any, driven: bool) -> list[str]:
     """Return the names of the inputs: as given, or u0, u1, ... for so many."""
     if given is None:
         return []
@@ -291,8 +305,11 @@ def _input_names(given: Sequence[str] | int | None, force: Any) -> list[str]:
     names = arguments.names(given, "inputs", "several names, as ['left', 'right'], or a number")
     if len(set(names)) != len(names):
         raise ValueError(f"inputs = {names!r}: expected different names")
-    if names and force is None:
-        raise ValueError(f"inputs = {names!r}: there is no force, which takes them")
+    if names and force is None and not driven:
+        raise ValueError(
+            f"inputs = {names!r}: there is no force, which takes them; for constraints that do, "
+            "say driven=True"
+        )
     return names
 
 
@@ -320,9 +337,11 @@ def _mass_and_names(
     return matrix, names
 
 
-def _compiled(given: Mapping[str, Any]) -> dict[str, pointers.Pointer]:
+def _compiled(given: Mapping[str, Any], driven: bool) -> dict[str, pointers.Pointer]:
     """Return those of the functions that are C functions."""
-    found = {key: pointers.find(key, given[key]) for key in pointers.ARGUMENTS}
+    names = [key for key in pointers.ARGUMENTS if key != "driven"]
+    of = {"constraint": "driven"} if driven else {}
+    found = {key: pointers.find(key, given[key], of.get(key)) for key in names}
     return {key: pointer for key, pointer in found.items() if pointer is not None}
 
 
@@ -396,7 +415,7 @@ class Expressions(Source):
             names = list(model.coordinates)
             made = PythonFunctions(
                 found, mass, n, model.m, self.about, names, state, invariants, False,
-                list(model.inputs), model.is_time_dependent, False, None,
+                list(model.inputs), model.is_time_dependent, False, None, model.is_driven,
             ).make()
         else:
             handle = self._from_library(library, numbers, mass, state, in_c)
@@ -581,6 +600,7 @@ def _number_of_constraints(
     n: int,
     state: Array | None,
     timed: bool,
+    inputs: tuple[Array, ...],
 ) -> int:
     """Return m as given, or as many as ``forms(q)`` or ``constraint(q, v)`` returns, at time 0."""
     if forms is None and constraint is None:
@@ -593,14 +613,14 @@ def _number_of_constraints(
     point.flags.writeable = False
     time = (0.0,) if timed else ()
     if constraint is not None:
-        shape = arguments.shape(constraint(*time, point[:n], point[n:]))
+        shape = arguments.shape(constraint(*time, point[:n], point[n:], *inputs))
         if len(shape) != 1:
             raise ValueError(
                 "constraint has to return shape (m,), one number for each constraint, it "
                 f"returned {shape}"
             )
     elif forms is not None:
-        shape = arguments.shape(forms(*time, point[:n]))
+        shape = arguments.shape(forms(*time, point[:n], *inputs))
         if len(shape) != 2 or shape[1] != n:
             raise ValueError(
                 f"forms has to return shape (m, {n}), one row for each constraint, "

@@ -72,9 +72,13 @@ class System(Handle):
         ``force(t, q, v) -> (n,)``: f; ``force_q(t, q, v) -> (n, n)``: df_i/dq_j;
         ``force_v(t, q, v) -> (n, n)``: df_i/dv_j.  With ``inputs`` each takes (t, q, v, u).
     inputs : sequence of str or int, optional
-        Names of the inputs u of the force, or how many there are: numbers that a run changes from
+        Names of the inputs u, or how many there are: numbers that a run changes from
         step to step, as torques of motors.  See `dalembert.integrate` and `dalembert.Stepper`;
-        whatever has no inputs to take, as a study of orders, takes zeros.
+        functions that accept no inputs, such as order studies, use zeros.
+    driven : bool, optional
+        Whether the constraints depend on the inputs, as v - u = 0 does.  Then ``forms``,
+        ``affine``, ``constraint`` and their derivatives take u after all else: ``forms(q, u)``,
+        ``constraint(q, v, u)``.
     n : int, optional
         Number of coordinates; needed where neither the mass, the coordinates nor q0 tell it.
     m : int, optional
@@ -139,7 +143,9 @@ class System(Handle):
     is_time_dependent : bool
         True if constraints or Lagrangian depend on time.  Its energy is then no first integral.
     inputs : tuple of str
-        Names of the inputs of the force.
+        Names of the inputs of the force and of the constraints.
+    is_driven : bool
+        Whether constraints depend on inputs.
     units : dict of str to str
         As given; `unit` has those of velocities too.
     q0, v0 : ndarray, shape (n,), or None
@@ -266,6 +272,7 @@ class System(Handle):
         force_q: OfTime | None = None,
         force_v: OfTime | None = None,
         inputs: Sequence[str] | int | None = None,
+        driven: bool = False,
         n: int | None = None,
         m: int | None = None,
         name: str = "system",
@@ -365,8 +372,9 @@ class System(Handle):
             Coordinate to component of a generalized force, d/dt L_v - L_q = f + mu^T lambda, in
             coordinates, velocities, the inputs and the time.
         inputs : sequence, optional
-            Symbols or dynamicsymbols of the force that a run changes from step to step, as torques
-            of motors; they become ``System.inputs`` by their names.
+            Symbols or dynamicsymbols, of the force or of constraints, that a run changes from step
+            to step, as torques of motors or a steering rate; they become ``System.inputs`` by their
+            names.
         name, help, description, source : str, optional
             As of `System`.
         q0, v0 : sequence, optional
@@ -555,7 +563,8 @@ class System(Handle):
     def conserves_energy(self) -> bool:
         """True if the energy is a first integral, as far as the kinds of what is given tell.
 
-        That is so for linear constraints without a force where nothing depends on time.
+        That is so for linear constraints without a force where nothing depends on time, and no
+        constraint on inputs.
 
         Examples
         --------
@@ -563,7 +572,8 @@ class System(Handle):
         >>> dal.systems.particle().conserves_energy, dal.systems.ball_on_table().conserves_energy
         (True, False)
         """
-        return self.kind == "linear" and not (self.is_forced or self.is_time_dependent)
+        acted_on = self.is_forced or self.is_driven or self.is_time_dependent
+        return self.kind == "linear" and not acted_on
 
     @property
     def has_exact(self) -> bool:
@@ -690,7 +700,7 @@ class System(Handle):
             found = dataclasses.replace(found, passed=False, text=off)
         if self.kind == "affine" and self._model is not None:
             found = dataclasses.replace(found, still=self._model.still())
-        if self.m == 0 or self.kind != "linear" or self.is_time_dependent:
+        if self.m == 0 or self.kind != "linear" or self.is_time_dependent or self.is_driven:
             return found
         place, _ = geometry.initial(self, q, v, "q", "v")
         at = place if asked else None
@@ -1017,6 +1027,7 @@ class System(Handle):
             ("" if self.has_constant_mass else ", general Lagrangian")
             + (f", {self.kind}" if self.kind != "linear" else "")
             + (", forced" if self.is_forced else "")
+            + (", driven" if self.is_driven else "")
             + (", depends on time" if self.is_time_dependent else "")
             + (f", inputs {', '.join(self.inputs)}" if self.inputs else "")
         )

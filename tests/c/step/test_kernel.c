@@ -621,7 +621,7 @@ static void test_bad_definitions(void)
     def.compiled = &larger;
     refused(&def, "compile it with the kernel.h of this library");
     def.compiled = &older;
-    refused(&def, "its number 10");
+    refused(&def, "its number 11");
     def = good;
     def.steady = 0;
     def.force = no_force;

@@ -1,6 +1,8 @@
 """Inputs of the force, and steps by hand: a cart on a blade whose motion is solved on its own."""
 
+import functools
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -139,8 +141,12 @@ def test_description():
         (lambda x, u, w: {"inputs": [w], "force": {x: w * u}}, "force.*: u is neither"),
         (lambda x, u, w: {"inputs": [u], "force": {x: u}, "parameters": {u: 1}}, "u is the name"),
         (
-            lambda x, u, w: {"inputs": [u], "force": {x: u}, "constraints": [x.d - u]},
-            "u is an input; only a force",
+            lambda x, u, w: {"inputs": [u], "constraints": [x.d - w], "parameters": {w: 1}},
+            "inputs: u does not act",
+        ),
+        (
+            lambda x, u, w: {"inputs": [u], "q0": [u, 0], "v0": [0, 0], "force": {x: u}},
+            "u is an input; only forces and constraints",
         ),
     ],
 )
@@ -508,3 +514,453 @@ def test_states_between_kept_nodes_are_refused():
     )
     with pytest.raises(ValueError, match="t: between states of 'explicit-nodes' with inputs"):
         run(0.05)
+
+
+# ---- inputs in constraints: a sled with two of them, whose equations are solved on their own ----
+
+SLED = np.diag([1.0, 1.0, 0.5, 0.0])
+SLED[2:, 2:] += 0.2
+HOLD = 0.25
+DRIVE = np.column_stack([np.sin(1.3 * np.arange(6)), 0.3 * np.cos(2.0 * np.arange(6))])
+
+
+def sled_forms(q, u):
+    s, c = np.sin(q[2] + u[1]), np.cos(q[2] + u[1])
+    return np.array([[s, -c, -0.3, 0.0], [0.0, 0.1, 0.0, 1.0]])
+
+
+def sled_affine(q, u):
+    return np.array([0.0, -u[0] * (1.0 + 0.2 * q[0])])
+
+
+def sled_rates(t, x, u):
+    q, v, mu = x[:4], x[4:], sled_forms(x[:4], u)
+    ahead = np.cos(q[2] + u[1]) * v[0] + np.sin(q[2] + u[1]) * v[1]
+    pull = -np.array([0.7, 0.3 * q[2], 0.3 * q[1], -0.2 * np.sin(q[3])])
+    turn = np.array([ahead * v[2], -0.2 * u[0] * v[0]])
+    A = np.block([[SLED, -mu.T], [mu, np.zeros((2, 2))]])
+    return np.concatenate([v, np.linalg.solve(A, [*pull, *-turn])[:4]])
+
+
+def jumped(x, u):
+    """The state after the impulse that leads into the D of these inputs."""
+    mu, Z = sled_forms(x[:4], u), np.linalg.solve(SLED, sled_forms(x[:4], u).T)
+    off = mu @ x[4:] + sled_affine(x[:4], u)
+    return np.concatenate([x[:4], x[4:] - Z @ np.linalg.solve(mu @ Z, off)])
+
+
+SLED_START = jumped(np.array([0.1, 0.2, 0.3, 0.4, 1.0, 0.5, 0.2, 0.0]), DRIVE[0])
+
+
+@functools.cache
+def sled_end():
+    x = SLED_START
+    for u in DRIVE:
+        found = solve_ivp(
+            sled_rates, (0, HOLD), jumped(x, u), "DOP853", args=(u,), rtol=1e-13, atol=1e-14
+        )
+        x = found.y[:, -1]
+    return x
+
+
+def sled_potential(q):
+    return 0.7 * q[0] + 0.3 * q[1] * q[2] + 0.2 * np.cos(q[3])
+
+
+@functools.cache
+def sled(kind="sympy"):
+    names = {"inputs": ["rate", "angle"], "coordinates": ["x", "y", "theta", "steer"]}
+    if kind == "functions":
+        return dal.System(
+            mass=SLED, forms=sled_forms, affine=sled_affine, potential=sled_potential, driven=True,
+            **names,
+        )  # fmt: skip
+    if kind == "nonlinear":
+        return dal.System(
+            mass=SLED, constraint=lambda q, v, u: sled_forms(q, u) @ v + sled_affine(q, u),
+            constraint_v=lambda q, v, u: sled_forms(q, u), potential=sled_potential, driven=True,
+            **names,
+        )  # fmt: skip
+    x, y, theta, steer = dal.coordinates("x y theta steer")
+    rate, angle, c = sympy.symbols("rate angle c")
+    T = (x.d**2 + y.d**2) / 2 + theta.d**2 / 4 + (theta.d + steer.d) ** 2 / 10
+    V = sympy.Float(0.7) * x + sympy.Float(0.3) * theta * y + sympy.cos(steer) / 5
+    blade = sympy.sin(theta + angle) * x.d - sympy.cos(theta + angle) * y.d - 0.3 * theta.d
+    motor = steer.d - rate * (1 + c * x) + y.d / 10
+    return dal.System.from_sympy(
+        T - V, [blade, motor], inputs=[rate, angle], parameters={c: 0.2}
+    )  # fmt: skip
+
+
+def drive(scheme, hold=8, kind="sympy", **more):
+    given = {"h": HOLD / hold, "steps": hold * len(DRIVE), "inputs": DRIVE, "hold": hold, **more}
+    return dal.integrate(sled(kind), scheme, *np.split(SLED_START, 2), **given)
+
+
+@pytest.mark.parametrize(
+    "scheme, order",
+    [
+        ("explicit", 1), ("midpoint", 2), ("leapfrog-mirror", 2), ("pair:0.5:0.5", 2), ("bm4", 4),
+        ("leapfrog-yoshida4", 4),  # sub-steps back in time
+    ],
+)  # fmt: skip
+def test_driven_orders(scheme, order):
+    """Full order between jumps of the velocity that are those of an impact."""
+    errors = []
+    for hold in (8, 16):
+        run = drive(scheme, hold)
+        errors.append(abs(run.x[-1] - sled_end()).max())
+        assert run.residual.max() <= 16 * U and run.stats.worst_residual <= 16 * U
+    assert abs(np.log2(errors[0] / errors[1]) - order) < 0.05
+
+
+def test_driven_flow_and_controlled_steps():
+    assert abs(drive("reference", 1).x[-1] - sled_end()).max() < 1e-13
+    assert abs(drive("reference", 2, method="msadams").x[-1] - sled_end()).max() < 1e-10
+    how = {"h": "auto", "t_end": HOLD * len(DRIVE), "hold": HOLD, "tolerance": 1e-5, "steps": None}
+    run = drive("leapfrog", **how)
+    assert abs(run.x[-1] - sled_end()).max() < 1e-5 and run.residual.max() < 16 * U
+    again = run([0.1, HOLD, 0.9])
+    near = drive("bm6", 20)([0.1, HOLD, 0.9])
+    np.testing.assert_allclose(again.v, near.v, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["functions", "nonlinear", "without a compiler"])
+def test_driven_functions(kind, monkeypatch):
+    expected = drive("bm4", 4).x
+    if kind == "without a compiler":
+        sled.cache_clear()
+        monkeypatch.setenv("CC", "none-such")
+        with pytest.warns(dal.DalembertWarning, match="no C compiler"):
+            run = drive("bm4", 4)
+        sled.cache_clear()
+    else:
+        run = drive("bm4", 4, kind)
+    np.testing.assert_allclose(run.x, expected, atol=1e-13)
+    assert run.residual.max() <= 16 * U
+
+
+def test_driven_geometry():
+    system, u, x = sled(), DRIVE[1], SLED_START
+    there = jumped(x, u)
+    (q, v), w = np.split(x, 2), there[4:]
+    assert system.is_driven and not system.is_forced and not system.conserves_energy
+    np.testing.assert_allclose(system.project(q, v, inputs=u), w, atol=1e-15)
+    off = sled_forms(q, u) @ v + sled_affine(q, u)
+    np.testing.assert_allclose(system.residual(q, v, inputs=u), off, atol=1e-15)
+    assert system.relative_residual(q, w, inputs=u) < 16 * U < system.relative_residual(q, w)
+    kept = system.consistent(q, v, keep=["y"], inputs=u)
+    assert kept[1] == v[1] and system.relative_residual(q, kept, inputs=u) < 16 * U
+    np.testing.assert_allclose(system.field(q, w, inputs=u), sled_rates(0, there, u), atol=1e-15)
+    chart = dal.Chart(system, q, w)
+    xi = chart.drop(q, w)
+    np.testing.assert_allclose(np.concatenate(chart.lift(xi, inputs=u)), there, atol=1e-15)
+    moved = chart.jacobian(xi, inputs=u) @ chart.field(xi, inputs=u)
+    np.testing.assert_allclose(moved, sled_rates(0, there, u), atol=1e-14)
+    end = solve_ivp(sled_rates, (0, HOLD), there, "DOP853", args=(u,), rtol=1e-13, atol=1e-14)
+    for coordinates in ("x", "xi"):
+        found = dal.reference(system, q, w, t=HOLD, coordinates=coordinates, inputs=u)
+        np.testing.assert_allclose([*found.q, *found.v], end.y[:, -1], atol=1e-12)
+    assert system.check(*np.split(jumped(x, [0, 0]), 2))
+    assert "not in D with inputs 0" in system.check(q, w).text
+
+
+def moved_cart(**more):
+    """Two masses 1, the velocity of the first given by an input, in a field of strength 3."""
+    x, y = dal.coordinates("x y")
+    u = sympy.Symbol("u")
+    T = (x.d**2 + y.d**2) / 2
+    return dal.System.from_sympy(
+        T - 3 * x, [x.d - u], inputs=[u], q0=[0, 0], v0=[1, 1], **more
+    )  # fmt: skip
+
+
+STAIRS = np.array([[1.0], [1.0], [-1.0], [-1.0], [2.0], [2.0]])
+
+
+@pytest.mark.parametrize("stride", [1, 4])
+def test_a_prescribed_velocity(stride):
+    """Rows stand before a jump; reactions have its impulse, multipliers have not."""
+    run = dal.integrate(
+        moved_cart(), "leapfrog", h=0.25, steps=24, inputs=STAIRS, hold=4, stride=stride
+    )
+    at = np.arange(0, 25, stride)
+    u = np.repeat(STAIRS[:, 0], 4)
+    position = np.concatenate([[0], np.cumsum(u) / 4])
+    np.testing.assert_array_equal(run.q, np.column_stack([position, np.arange(25) / 4])[at])
+    np.testing.assert_array_equal(run.v[:, 0], np.concatenate([[1], u])[at])
+    np.testing.assert_array_equal(run.multipliers, np.full((len(at), 1), 3.0))
+    forces = np.full(24, 3.0)
+    forces[[8, 16]] += np.array([-2.0, 3.0]) / 0.25
+    expected = forces.reshape(-1, stride).mean(axis=1)
+    np.testing.assert_allclose(run.reactions[:, 0], expected, atol=1e-14)
+    assert run.residual.max() == 0.0
+    np.testing.assert_allclose(run.energy, ((run.v**2).sum(axis=1) / 2 + 3 * run.q[:, 0]))
+
+
+def test_a_wheel_that_turns_its_carrier():
+    """The momentum of both is kept in a jump, which is one in the metric of the mass."""
+    x, y = dal.coordinates("x y")
+    u = sympy.Symbol("u")
+    T = 3 * x.d**2 / 2 + (x.d + y.d) ** 2 / 2
+    system = dal.System.from_sympy(T, [y.d - u], inputs=[u], q0=[0, 0], v0=[0.5, 1])
+    stairs = np.vstack([STAIRS, [[1.0]]])  # back to the first
+    run = dal.integrate(system, "midpoint", h=0.5, steps=14, inputs=stairs, hold=2)
+    carrier = (4 * 0.5 + 1 - stairs[:, 0]) / 4
+    np.testing.assert_allclose(run.q[2::2, 0], np.cumsum(carrier), atol=1e-14)
+    np.testing.assert_allclose(run.v[2::2, 0], carrier, atol=1e-14)
+
+
+def test_a_driven_sleigh():
+    """A mass that depends on q: ahead a w^2 is the acceleration while the rate is w."""
+    x, y, theta = dal.coordinates("x y theta")
+    w, a, s, c = sympy.Symbol("w"), sympy.Rational(2, 5), sympy.sin(theta), sympy.cos(theta)
+    T = ((x.d - a * s * theta.d) ** 2 + (y.d + a * c * theta.d) ** 2) / 2 + theta.d**2 / 5
+    system = dal.System.from_sympy(T, [s * x.d - c * y.d, theta.d - w], inputs=[w])
+    rates = [0.5, -0.8, 1.1]
+    speed, heading, place = 1.0, 0.0, np.zeros(2)
+    for r in rates:  # and the integral of the speed along the heading, in closed form
+        k, end = 0.4 * r**2, heading + r
+        for at, sign in ((end, 1), (heading, -1)):
+            now = speed + k * (sign > 0)
+            place += sign * now / r * np.array([np.sin(at), -np.cos(at)])
+            place += sign * k / r**2 * np.array([np.cos(at), np.sin(at)])
+        speed, heading = speed + k, end
+    expected = np.array([*place, heading, speed * np.cos(heading), speed * np.sin(heading), 1.1])
+    start = [0, 0, 0], [1, 0, 0.5]
+    errors = []
+    for hold in (8, 16):
+        given = {"h": 1 / hold, "steps": 3 * hold, "inputs": np.c_[rates], "hold": hold}
+        run = dal.integrate(system, "midpoint-suzuki4", *start, **given)
+        errors.append(abs(run.x[-1] - expected).max())
+    assert abs(np.log2(errors[0] / errors[1]) - 4) < 0.1
+
+
+def test_the_start_of_driven_runs():
+    system = moved_cart()
+    x, _ = dal.coordinates("x y")
+    law = {"u": sympy.cos(x) / 2 + x.d / 4}
+    how = {"h": 0.125, "steps": 16, "hold": 2}
+    first = r"D is that of the first inputs, u = 0.75; consistent='project'"
+    with pytest.raises(dal.NotOnConstraintError, match=first):
+        dal.integrate(system, "leapfrog", inputs=law, **how)
+    calls = []
+
+    def control(t, q, v):
+        calls.append(t)
+        return [np.cos(q[0]) / 2 + v[0] / 4]
+
+    by_law = dal.integrate(system, "leapfrog", inputs=law, consistent="project", **how)
+    by_hand = dal.integrate(system, "leapfrog", inputs=control, consistent="project", **how)
+    assert by_law.inputs[0] == 0.75 == by_law.v[0, 0]  # at the velocity before the first jump
+    assert calls == (0.25 * np.arange(8)).tolist()
+    for other in (by_hand.inputs, by_law.inputs):
+        again = dal.integrate(system, "leapfrog", inputs=other, consistent="project", **how)
+        np.testing.assert_allclose(again.x, by_law.x, atol=1e-15)
+    assert by_law.residual.max() == 0.0
+    with pytest.raises(dal.NotOnConstraintError, match="first inputs, u = 0;"):
+        dal.integrate(system, "leapfrog", h=0.125, steps=16)
+
+
+def test_driven_steps_by_hand():
+    run = drive("leapfrog", 4)
+    stepper = dal.Stepper(sled(), "leapfrog", *np.split(SLED_START, 2), h=HOLD / 4, inputs=DRIVE[0])
+    for k, u in enumerate(DRIVE):
+        if k == 3:
+            saved = stepper.save()
+        stepper.step(u)
+        np.testing.assert_array_equal(stepper.reaction, run.reactions[4 * k])
+        stepper.step(steps=3)
+    np.testing.assert_array_equal(stepper.x, run.x[-1])
+    stepper.restore(saved)  # before a jump, which is that of the last inputs that are given
+    stepper.step([7.0, 7.0], steps=0)
+    for u in DRIVE[3:]:
+        stepper.step(u, steps=4)
+    np.testing.assert_array_equal(stepper.x, run.x[-1])
+    with pytest.raises(dal.NotOnConstraintError):
+        stepper.reset([0, 0, 0, 0], [0, 0, 0, 5])
+    np.testing.assert_array_equal(stepper.inputs, DRIVE[-1])
+    stepper.reset()
+    np.testing.assert_array_equal(stepper.inputs, DRIVE[0])
+    fresh = dal.Stepper(sled(), "leapfrog", *np.split(SLED_START, 2), h=HOLD / 4, inputs=DRIVE[0])
+    for one in (stepper, fresh):
+        one.step(DRIVE[-1])
+    np.testing.assert_array_equal(stepper.x, fresh.x)
+
+
+def test_events_of_a_jump():
+    """A velocity that changes its sign in the jump; what happens then begins after it."""
+    guard = dal.Event(lambda t, q, v: v[0])
+    up = dal.Event(lambda t, q, v: v[0], direction=1)
+    twice = dal.Event(lambda t, q, v: v[0] + 1.5 * (t - 2))  # and back within the step
+    how = {"inputs": STAIRS, "t_end": 6.0}
+    run = dal.integrate(moved_cart(), "leapfrog", h=1.0, events=[guard, up, twice], **how)
+    assert [t.tolist() for t in run.t_events[:2]] == [[2.0, 4.0], [4.0]]
+    np.testing.assert_allclose(run.t_events[2], [4 / 3, 2, 8 / 3], atol=1e-15)
+    np.testing.assert_array_equal(run.x_events[0], [[2, 2, -1, 1], [0, 4, 2, 1]])
+    end = dal.Event(lambda t, q, v: v[0], terminal=True)
+    run = dal.integrate(moved_cart(), "leapfrog", h=0.25, hold=4, events=[end], **how)
+    np.testing.assert_array_equal(run.x[-2:], [[2, 2, 1, 1], [2, 2, -1, 1]])
+    assert run.t[-1] == 2.0 and run.residual.max() == 0.0
+    back = dal.Event(lambda t, q, v: v[0], reset=lambda q, v: (q, [v[0], -2 * v[1]]))
+    for h in (0.25, "auto"):
+        hold = 4 if h == 0.25 else 1.0
+        run = dal.integrate(moved_cart(), "leapfrog", h=h, hold=hold, events=[back], **how)
+        np.testing.assert_allclose(run.x[-1], [4, 6, 2, 4], atol=1e-14)
+        assert run.residual.max() == 0.0 and run.t_events[0].tolist() == [2.0, 4.0]
+        np.testing.assert_allclose(run([2.1, 4.1]).q, [[1.9, 1.8], [0.2, -1.6]], atol=1e-14)
+        np.testing.assert_array_equal(run(run.t[:3]).v, run.v[:3])
+
+
+def test_states_between_jumps():
+    run = drive("bm6", 4, stride=8)
+    times = np.array([0.1, HOLD, 0.3, 0.62, 1.2])
+    x = SLED_START
+    for k, u in enumerate(DRIVE):
+        there = times[(times > k * HOLD) & (times <= (k + 1) * HOLD)] - k * HOLD
+        at = {"t_eval": [*there[there < HOLD], HOLD], "rtol": 1e-12, "atol": 1e-12}
+        found = solve_ivp(sled_rates, (0, HOLD), jumped(x, u), "DOP853", args=(u,), **at)
+        for t, state in zip(there, found.y.T):
+            now = run(t + k * HOLD)
+            np.testing.assert_allclose([*now.q, *now.v], state, atol=1e-9)
+        x = found.y[:, -1]
+
+
+def test_journals_of_driven_runs(tmp_path):
+    x, _ = dal.coordinates("x y")
+    law = {"u": sympy.cos(x) / 2 + x.d / 4}
+    for how in ({"h": 0.25, "steps": 24, "hold": 2}, {"h": "auto", "t_end": 6, "hold": 0.5}):
+        given = {"inputs": law, "consistent": "project", **how}
+        whole = dal.integrate(moved_cart(), "leapfrog", **given)
+        path = tmp_path / f"{len(how)}{how['h']}.dal"
+        stop = dal.integrate(
+            moved_cart(), "leapfrog", journal=path, observer=lambda k, t, q, v: k == 5, **given
+        )
+        assert len(stop.x) < len(whole.x)
+        again = dal.resume(path, moved_cart(), inputs=law)
+        for name in ("x", "inputs", "reactions", "residual"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
+
+
+def test_ensembles_of_driven_members():
+    x, _ = dal.coordinates("x y")
+    law = {"u": sympy.cos(x) / 2 + x.d / 4}
+    system, starts = moved_cart(), np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 1.0]])
+    how = {"h": 0.25, "steps": 12, "consistent": "project"}
+    for inputs in (law, np.linspace(0, 1, 36).reshape(3, 12, 1)):
+        keep = ["all", "residual", "multipliers", "reactions"]
+        many = dal.ensemble(
+            system, "leapfrog", starts, [1.0, 1.0], stride=1, keep=keep, inputs=inputs, **how
+        )
+        for k, q in enumerate(starts):
+            mine = inputs if inputs is law else inputs[k]
+            one = dal.integrate(system, "leapfrog", q, [1.0, 1.0], inputs=mine, **how)
+            np.testing.assert_array_equal(many.states[k], one.x)
+            np.testing.assert_array_equal(many.residual[k], one.residual)
+            np.testing.assert_array_equal(many.multipliers[k], one.multipliers)
+            np.testing.assert_array_equal(many.reactions[k], one.reactions)
+
+
+def test_multipliers_of_members_with_a_law():
+    """Of the inputs that begin at a row, also where the law makes them at that moment."""
+    x, y = dal.coordinates("x y")
+    push = sympy.Symbol("push")
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2, [x.d - y.d], force={x: push}, inputs=[push]
+    )
+    starts = np.array([[1.0, 1.0], [2.0, 2.0]])
+    many = dal.ensemble(
+        system, "midpoint", starts, [0.0, 0.0], h=0.1, steps=4, stride=1, hold=2,
+        inputs={push: -x}, keep=["q", "multipliers"],
+    )  # fmt: skip
+    held = many.q[:, [0, 0, 2, 2, 2], 0]
+    np.testing.assert_allclose(many.multipliers[..., 0], held / 2, atol=1e-15)
+
+
+def test_a_turned_blade():
+    """An input in mu: D turns, and each jump leaves the part of the velocity along the blade."""
+    x, y, theta = dal.coordinates("x y theta")
+    angle = sympy.Symbol("angle")
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2 + theta.d**2) / 2, [sympy.sin(angle) * x.d - sympy.cos(angle) * y.d],
+        inputs=[angle], q0=[0, 0, 0], v0=[1, 0, 0],
+    )  # fmt: skip
+    angles = np.array([0.0, 0.3, 0.5])
+    run = dal.integrate(system, "leapfrog", h=0.5, steps=3, inputs=angles[:, None])
+    speeds = np.cumprod(np.cos([0, 0.3, 0.2]))
+    steps = speeds[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    np.testing.assert_allclose(run.v[1:, :2], steps, atol=1e-15)
+    np.testing.assert_allclose(run.q[1:, :2], np.cumsum(steps, axis=0) / 2, atol=1e-15)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # of the energy that is lost
+        run = dal.integrate(system, "leapfrog", h=0.5, steps=2, inputs=[[0.0], [1.4]])
+    assert run.energy[-1] < 0.1 * run.energy[0]
+    with pytest.raises(NotImplementedError, match="inputs in its constraints, which do work"):
+        dal.integrate(system, "leapfrog", h=0.5, steps=2, energy="keep")
+    assert system.kind == "linear" and not system.conserves_energy
+    found = system.check()
+    assert found and "D changes with the inputs" in found.text and found.growth is None
+    assert "(D changes with inputs)" in str(found) and "holonomic" not in str(found)
+
+
+def test_many_driven_coordinates():
+    """Constraints that are stored by their entries: twelve masses, each with a rate."""
+    q = dal.coordinates([f"q{i}" for i in range(12)])
+    u = sympy.symbols("u0:6")
+    system = dal.System.from_sympy(
+        sympy.Add(*(x.d**2 for x in q)) / 2,
+        [q[2 * i].d - u[i] * q[2 * i + 1].d for i in range(6)],
+        inputs=u, q0=[0] * 12, v0=[0, 1] * 6,
+    )  # fmt: skip
+    rates = np.array([[0.0] * 6, [0.5] * 6])
+    run = dal.integrate(system, "leapfrog", h=1.0, steps=2, inputs=rates)
+    np.testing.assert_allclose(run.v[-1], np.tile([0.4, 0.8], 6), atol=1e-15)
+    np.testing.assert_allclose(run.q[-1], np.tile([0.4, 1.8], 6), atol=1e-15)
+    assert run.residual.max() <= 48 * U
+
+
+@pytest.mark.parametrize(
+    "how, text",
+    [
+        ({"scheme": "midpoint-nodes", "initial": "D"}, "expected a scheme with moved nodes"),
+        ({"scheme": "bm4", "h": "reversible"}, "inputs in its constraints"),
+        ({"scheme": "leapfrog", "energy": "keep"}, "affine constraints"),
+    ],
+)
+def test_refused_driven_runs(how, text):
+    given = {"h": 0.1, "t_end": 1.0, **how}
+    with pytest.raises(NotImplementedError, match=text):
+        dal.integrate(moved_cart(), **given)
+
+
+@pytest.mark.parametrize("events", [(), [lambda t, q, v: q[0] - 99]])
+def test_a_jump_that_fails(events):
+    x, y = dal.coordinates("x y")
+    u = sympy.Symbol("u")
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2, [u * (x.d - 1)], inputs=[u], q0=[0, 0], v0=[1, 0]
+    )
+    with pytest.raises(dal.SingularError, match=r"the inputs of step 3 \(t = 2\): ") as error:
+        dal.integrate(
+            system, "leapfrog", h=1.0, steps=3, inputs=[[1.0], [2.0], [0.0]], events=events
+        )
+    np.testing.assert_array_equal(error.value.partial.q[:, 0], [0, 1, 2])
+
+
+def test_refused_driven_systems():
+    x, y = dal.coordinates("x y")
+    u = sympy.Symbol("u")
+    fast = dal.System.from_sympy(x.d**2 + y.d**2 + x.d**4, [x.d - u * y.d], inputs=[u])
+    with pytest.raises(NotImplementedError, match="inputs in constraints: expected L of second"):
+        dal.integrate(fast, "midpoint", [0, 0], [0, 1], h=0.1, steps=1)
+    with pytest.raises(NotImplementedError, match="whose constraints depend on inputs"):
+        moved_cart().deformed(lambda q, v: [0.0], 0.5, g_v=lambda q, v: np.zeros((1, 2)))
+    for given, text in (
+        ({"forms": lambda q, u: [[1.0]]}, "driven = True: expected inputs"),
+        ({"inputs": 1}, "driven = True: there are no constraints"),
+        ({"inputs": 1, "forms": lambda q: [[1.0]]}, r"expected one of \(q, u\)"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            dal.System(mass=[1.0], driven=True, **given)
+    with pytest.raises(ValueError, match="say driven=True"):
+        dal.System(mass=[1.0], forms=lambda q, u: [[1.0]], inputs=1)
