@@ -417,7 +417,7 @@ typedef enum dal_initial {
 /* What a stepper has done since it was started. */
 typedef struct dal_stats {
     size_t steps;
-    size_t substeps;            /* of the record, in these steps */
+    size_t substeps;            /* of the record, in these steps; a fused pair is one */
     size_t iterations;          /* Newton iterations */
     size_t constraint_calls, potential_calls;
     size_t lagrangian_calls, force_calls;
@@ -453,14 +453,14 @@ typedef struct dal_stats {
     double least_pivot;         /* of C = mu M^-1 mu^T, beside the largest that the pivot of its row
                                    has been, as 1/(C^-1)_aa; 1: none was less.  Near 0 the
                                    constraints lose rank there, and branches of the motion may
-                                   meet.  Looked at where steps that choose their size
-                                   are much shorter than usual, and where steps of h take the full
-                                   Newton iteration; not of a system with a sparsity and masses */
+                                   meet.  Looked at where steps that choose their size are much
+                                   shorter than usual; and in steps of h where det C falls, or the
+                                   full Newton iteration is needed, not in those of your families */
     double least_pivot_t;       /* when, and */
     size_t least_pivot_rows;    /* the sum of 2^a over the rows a that have part in it, a < 52; 0:
                                    they are not known */
     size_t rank_doubts;         /* looks at which a pivot was below the tolerance (ten times that of
-                                   "reference"), or for steps of h below 1e-2 */
+                                   "reference"), or passes 0 within about two steps of h */
     double least_step;          /* of steps that choose their size: the shortest, beside the mean of
                                    those before; 1 for others */
     double least_step_t;        /* when */

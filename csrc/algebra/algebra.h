@@ -121,6 +121,8 @@ void dal__linear_multiply(dal__linear *self, const dal_rows *rows, size_t n, con
 void dal__linear_balance(dal__linear *self, const double *scale);
 /* The sign of the determinant; 0 if the matrix is singular, or NaN. */
 int dal__linear_factor(dal__linear *self);
+/* log2 of 1/|det A| by the factors. */
+double dal__linear_log_inverse(const dal__linear *self);
 /* x[size] <- A^-1 b, or A^-T b, where b is destroyed; x and b may not overlap, but be the same
  * where there is a pattern. */
 void dal__linear_solve(const dal__linear *self, const double *b, double *x);

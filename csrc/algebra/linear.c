@@ -105,6 +105,25 @@ int dal__linear_factor(dal__linear *self)
     return sign;
 }
 
+double dal__linear_log_inverse(const dal__linear *self)
+{
+    const dal__block whole = {.size = self->size, .width = self->size};
+    const size_t blocks = self->pattern ? self->pattern->blocks : 1;
+    double product = 1.0, exponent = 0.0; /* which alone would overflow */
+    for (size_t k = 0; k < blocks; k++) {
+        const dal__block *const block = self->pattern ? self->pattern->block + k : &whole;
+        const bool dense = block->width == block->size;
+        const size_t length = dense ? block->size : dal__band_length(block->width);
+        const double *const A = self->A + block->offset + (dense ? 0 : block->width);
+        for (size_t i = 0; i < block->size; i++) {
+            int power = 0;
+            product = frexp(product * A[i * length + (dense ? i : 0)], &power);
+            exponent += power;
+        }
+    }
+    return exponent + log2(fabs(product));
+}
+
 /* What solves with the factors of a block. */
 static dal_lu_factors factors_of(const dal__linear *self, const dal__block *block)
 {

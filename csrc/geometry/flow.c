@@ -21,6 +21,9 @@ enum { PER_LOOK = 128 };
  * anew there, from short steps. */
 enum { PER_MEND = 24, PER_MEND_OF_MULTISTEP = 1024 };
 
+/* The error of a position constraint that inner steps of a tolerance add up to, see rank.c. */
+static const double PER_TOLERANCE = 10.0;
+
 struct dal_flow {
     bool in_xi;
     dal_chart chart;         /* but for its mechanics in xi only */
@@ -89,10 +92,12 @@ int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method meth
     if (shape.in_xi) dal__chart_reserve(&shape.chart, system, &shape.arena);
     else dal__mechanics_reserve(&shape.chart.mech, system, &shape.arena);
     DAL__RESERVE(&shape.arena, 2 * n, &shape.result, &shape.state);
+    dal__rank_reserve(&shape.own.rank, n, system->def.m, &shape.arena);
     status = dal__allocate(&shape.arena, error);
     if (status) return status;
     *self = shape;
     self->guards = &self->own;
+    self->own.allowed = PER_TOLERANCE * tolerance;
     if (self->in_xi) dal__chart_bind(&self->chart, system);
     else dal__mechanics_bind(&self->chart.mech, system);
     status = dal__ode_new(&self->integrator, N, method, tolerance, field, self, error);
@@ -125,6 +130,12 @@ int dal_flow_input(dal_flow *flow, const double *u)
 
 size_t dal_flow_chart_changes(const dal_flow *flow) { return flow->chart_changes; }
 
+void dal_flow_stats(const dal_flow *flow, dal_stats *stats)
+{
+    *stats = (dal_stats){0};
+    dal__guards_tell(flow->guards, stats);
+}
+
 size_t dal_flow_evaluations(const dal_flow *flow)
 {
     return dal__ode_evaluations(flow->integrator);
@@ -145,6 +156,13 @@ static int begin(dal_flow *flow, double t0, double span, const double *x, double
     flow->t0 = t0;
     flow->in_D = in_D && flow->chart.mech.m > 0 && !flow->in_xi;
     flow->unmended = 0;
+    if (flow->guards == &flow->own && factor == 1.0) { /* not for the accuracy, once more */
+        dal_mechanics *const mech = &flow->chart.mech;
+        const int looked = dal__forms_at(mech, t0, 0.0, x, false);
+        if (looked) return looked;
+        dal__rank_find(&flow->own.rank, mech);
+        dal__rank_start(&flow->own.rank, mech->m);
+    }
     flow->own.creep = (dal__creep){0};
     return dal__ode_begin(flow->integrator, t0, span, flow->in_xi ? flow->chart.y : x, factor,
                           error_of(flow));
@@ -190,7 +208,7 @@ static int guard(dal_flow *flow)
     const double t = flow->t0 + dal__ode_elapsed(flow->integrator);
     const double h = dal__ode_suggested(flow->integrator);
     dal__creep_step(&guards->creep, t, h);
-    if (guards == &flow->own || flow->in_xi || !dal__creep_is_short(&guards->creep, h))
+    if (flow->in_xi || !dal__creep_is_short(&guards->creep, h))
         return DAL_SUCCESS;
     return dal__rank_look(&guards->rank, &flow->chart.mech, t, 0.0, guards->allowed,
                           dal__ode_state(flow->integrator));
@@ -342,7 +360,11 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
 
 /* Single steps. */
 
-void dal__flow_guard(dal_flow *flow, struct dal__guards *guards) { flow->guards = guards; }
+void dal__flow_guard(dal_flow *flow, struct dal__guards *guards)
+{
+    guards->allowed = flow->own.allowed;
+    flow->guards = guards;
+}
 
 void dal__flow_forget(dal_flow *flow)
 {

@@ -220,20 +220,30 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
  * constraint, or constraints that are nearly dependent all the time, do not matter. */
 typedef struct dal__rank {
     double *largest, *found; /* [m] pivots of each row so far; those of the last look, or 0 */
+    double *weight, *part;  /* [m], [3n] of dal__rank_pass */
     double least, t;        /* the least beside its largest, 1 at a start; when */
     size_t rows;            /* the sum of 2^a over those as small, for a < 52; 0: not known */
     size_t doubts;          /* looks that found one below what is allowed */
+    double inverse;         /* log2 of 1/det C at a start; NaN: not known */
+    double range[2];        /* of the same of the matrices of steps: beyond it C is looked at; from
+                               1 to 0 if there is none yet */
 } dal__rank;
-void dal__rank_reserve(dal__rank *rank, size_t m, arena *a);
+void dal__rank_reserve(dal__rank *rank, size_t n, size_t m, arena *a);
 /* found <- the pivots by the forms and the metric as they are; and then these are a start's. */
 void dal__rank_find(dal__rank *rank, dal_mechanics *mech);
 void dal__rank_start(dal__rank *rank, size_t m);
 /* to <- from, but where its pivots are. */
 void dal__rank_copy(size_t m, const dal__rank *from, dal__rank *to);
-/* A look at the state x[2n], moved back by shift v, for pivots below what is allowed.  Not where C
- * has a pattern.  The errors of the callbacks; the text is in mech->error. */
+/* A look at the state x[2n], moved back by shift v, for pivots below what is allowed; and at a step
+ * of h from it, by a scheme of this order, for one that the step does not resolve.  The errors of
+ * the callbacks; the text is in mech->error. */
 int dal__rank_look(dal__rank *rank, dal_mechanics *mech, double t, double shift, double least,
                    const double *x);
+int dal__rank_pass(dal__rank *rank, dal_mechanics *mech, double t, double shift, double h,
+                   int order, const double *x);
+/* Whether the matrix of a step calls for a look, by log2 of 1/|det|; and then the range is another
+ * one. */
+bool dal__rank_strays(dal__rank *rank, double inverse);
 
 /* Guards of a motion, which a stepper shares with its integrator. */
 struct dal__guards {
@@ -241,6 +251,8 @@ struct dal__guards {
     double allowed;         /* pivot: below it the errors of the steps may choose the branch */
     dal__creep creep;
 };
+/* What they know, to the statistics. */
+void dal__guards_tell(const struct dal__guards *guards, dal_stats *stats);
 /* A chart of D, connection.c.  It may be part of another object, as a dal_mechanics may. */
 struct dal_chart {
     dal_mechanics mech;

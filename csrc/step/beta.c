@@ -157,16 +157,34 @@ static void guess(beta *self, const dal_stage *s)
     for (size_t a = 0; a < k->m; a++) solver->lambda[a] = k->latest[a] / (k->latest_span * k->h);
 }
 
-/* After a stage that the simple iteration has not solved: where that is so because C nearly loses
- * its rank the steps may follow either branch.  Steps of controlled size look where they are
- * short. */
-static int look_at_rank(const beta *self, double t, const double *x)
+/* Where C is looked at; steps of controlled size look where they are short. */
+static void take_range(dal_kernel *k, const dal_motion *motion)
 {
-    const dal_kernel *const k = &self->kernel;
-    dal_motion *const motion = self->motion;
-    if (motion->estimate) return DAL_SUCCESS;
-    return dal__rank_look(&motion->guards->rank, motion->mechanics, t, k->shift * k->h,
-                          DAL__UNRESOLVED, x);
+    const double *const range = motion->guards->rank.range;
+    for (int i = 0; i < 2; i++) k->range[i] = k->at.rows ? range[i] : exp2(range[i]);
+    if (!motion->estimate) return;
+    k->range[0] = -(double)INFINITY;
+    k->range[1] = (double)INFINITY;
+}
+
+/* Whether C nearly loses its rank in the step that a stage belongs to. */
+static int look_at_rank(const dal_kernel *k, double number, const dal_stage *s)
+{
+    dal_motion *const motion = ((const beta *)k)->motion;
+    return dal__rank_pass(&motion->guards->rank, motion->mechanics,
+                          dal_kernel_time(k, number, s->t_start), k->shift * k->h, k->h,
+                          motion->scheme->order, k->at.x);
+}
+
+/* As look of a dal_kernel. */
+static int look(dal_kernel *k, double number, const dal_stage *s, double inverse)
+{
+    dal_motion *const motion = ((beta *)k)->motion;
+    const bool strays =
+        dal__rank_strays(&motion->guards->rank, k->at.rows ? inverse : log2(inverse));
+    take_range(k, motion);
+    const int status = strays ? look_at_rank(k, number, s) : DAL_SUCCESS;
+    return status ? dal_kernel_fail(k, status, DAL_FAILED_FINISH) : DAL_SUCCESS;
 }
 
 /* As finish of a dal_kernel: the stage by the full Newton iteration from the state before it; or
@@ -190,12 +208,13 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
         const double beta = s->after / s->span, alpha = s->node != 0.0 ? 1.0 : beta;
         memcpy(x, at->x, 2 * size);
         k->stats.full_newtons++;
+        if (!self->motion->estimate) status = look_at_rank(k, number, s);
+        if (status) return dal_kernel_fail(k, status, DAL_FAILED_FINISH);
         guess(self, s);
         status = dal__newton_step(&self->newton, mech,
                                   dal_kernel_time(k, number, s->t_start), t_end, alpha, beta,
                                   s->span * k->h, k->kept, x, at->kappa, &k->stats);
     }
-    if (!status && !solved) status = look_at_rank(self, t_end, x);
     if (!status && !dal__all_finite(n, at->base)) /* but what the same callbacks give now is */
         status = dal__fail(&mech->error, DAL_EDOMAIN, "a number is not finite; try a smaller h");
     if (status) return dal_kernel_fail(k, status, DAL_FAILED_FINISH);
@@ -231,7 +250,9 @@ static int factor_rows(dal_kernel *k, double b)
         S->sizes[k->m + a] = dal_rows_extent(rows, at->mu_node, a, at->unit);
     }
     dal__linear_multiply(S, rows, k->n, self->turned, at->Z);
-    return dal__linear_factor(S);
+    const int sign = dal__linear_factor(S);
+    at->S[0] = dal__linear_log_inverse(S);
+    return sign;
 }
 
 static void solve_rows(const dal_kernel *k)
@@ -273,7 +294,7 @@ static void reserve_kernel(dal_kernel *k, const dal_system *system, arena *a)
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
     dal__reserve(a, &at->Z, entries, sizeof(double));
-    dal__reserve(a, &at->S, has_rows(system) ? 0 : dal__times(m, m), sizeof(double));
+    dal__reserve(a, &at->S, has_rows(system) ? 1 : dal__times(m, m), sizeof(double));
     dal__reserve(a, &at->sizes, dal__times(5, m), sizeof(double));
     dal__reserve(a, &at->row, m, sizeof(size_t));
 }
@@ -366,6 +387,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     dal_kernel_share(k, entries_of(system), k->at.x);
     k->impulse = motion->impulse;
     k->finish = finish;
+    k->look = look;
     k->steady = is_steady(self, system) ? system->def.steady : 0;
     k->turns = system->def.steady == DAL_STEADY_DECLARED || system->def.steady == DAL_STEADY_EVEN;
     k->balance.known = k->at.base;
@@ -422,6 +444,7 @@ static void start(void *method, dal_motion *motion)
     self->kernel.t0 = motion->t0;
     self->kernel.h = motion->h;
     take_mass(self);
+    take_range(&self->kernel, motion);
     dal_kernel_forget(&self->kernel);
 }
 

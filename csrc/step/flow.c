@@ -3,9 +3,6 @@
 
 #include <math.h>
 
-/* The error of a position constraint that inner steps of this tolerance add up to, see rank.c. */
-#define PER_TOLERANCE 10.0
-
 extern const dal_family dal__family_flow;
 
 static const dal_scheme records[] = {
@@ -25,7 +22,6 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     if (!status)
         status = dal_flow_new(&flow, motion->system, chosen->method, DAL_FLOW_X, tolerance, error);
     if (status) return status;
-    motion->guards->allowed = PER_TOLERANCE * tolerance;
     dal__flow_guard(flow, motion->guards);
     *method = flow;
     return DAL_SUCCESS;

@@ -68,7 +68,7 @@ int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error
     const dal_lanes_routine *const routine = find_routine(system, 0);
     const size_t n = k->n, m = k->m, rows = m > 0 ? m : 1, parameters = routine->parameters;
     dal__lanes shape = {.system = system, .routine = routine, .n = n, .m = m, .width = width,
-                        .given = 2 + n * n + 2 * n + parameters,
+                        .given = 4 + n * n + 2 * n + parameters,
                         .carried = DAL_LANES_X + 8 * n + rows};
     shape.block = (dal_lanes_block){.stages = k->stages, .plain = k->plain,
                                     .steady = k->steady != 0, .parameters = parameters};
@@ -150,15 +150,15 @@ static void put(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
 {
     const dal_kernel *const k = dal__beta_kernel(stepper);
     const size_t n = lanes->n, nn = n * n, force = DAL_LANES_X + 7 * n;
-    const double times[] = {k->t0, k->h};
+    const double first[] = {k->t0, k->h, k->range[0], k->range[1]};
     const double begin[DAL_LANES_X] = {
         [DAL_LANES_PULLED] = k->pulled, [DAL_LANES_FORCED] = k->forced,
         [DAL_LANES_NUMBER] = (double)k->stats.steps, [DAL_LANES_WORST] = k->stats.worst_residual};
-    give(lanes, lane, 0, 2, times);
-    give(lanes, lane, 2, nn, k->mass_inverse);
-    give(lanes, lane, 2 + nn, n, k->unit);
-    give(lanes, lane, 2 + nn + n, n, k->per_unit);
-    give(lanes, lane, 2 + nn + 2 * n, lanes->block.parameters, stepper->motion.system->def.ctx);
+    give(lanes, lane, 0, 4, first);
+    give(lanes, lane, 4, nn, k->mass_inverse);
+    give(lanes, lane, 4 + nn, n, k->unit);
+    give(lanes, lane, 4 + nn + n, n, k->per_unit);
+    give(lanes, lane, 4 + nn + 2 * n, lanes->block.parameters, stepper->motion.system->def.ctx);
     write(lanes, lane, 0, DAL_LANES_X, begin);
     write(lanes, lane, DAL_LANES_X, 2 * n, k->at.x);
     write(lanes, lane, DAL_LANES_X + 2 * n, 5 * n, k->at.pull); /* and low */
@@ -245,6 +245,8 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     stepper->started = true;
     k->t0 = motion->t0 = *given(lanes, lane, 0);
     k->h = motion->h = *given(lanes, lane, 1);
+    k->range[0] = *given(lanes, lane, 2);
+    k->range[1] = *given(lanes, lane, 3);
     dal_kernel_forget(k);
     k->pulled = *carried(lanes, lane, DAL_LANES_PULLED) != 0.0;
     k->forced = *carried(lanes, lane, DAL_LANES_FORCED) != 0.0;

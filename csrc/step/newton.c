@@ -117,6 +117,7 @@ static int solve_linear(newton *s, int *sign)
     dal__linear_multiply(&s->S, mech->eval.rows, n, s->B, s->KZ);
     size_S(s);
     *sign *= dal__linear_factor(&s->S);
+    s->inverse = dal__linear_log_inverse(&s->S);
     if (*sign == 0) {
         dal__fail(&mech->error, DAL_ESINGULAR, "the Schur complement B K^-1 mu_k^T is singular");
         if (!dal__name_rank_lost(mech, mech->muk) && !dal__name_rank_lost(mech, mech->forms.mu))

@@ -91,15 +91,18 @@ static void start(void *method, dal_motion *motion)
     dal__newton_forget(&((pair_steps *)method)->newton);
 }
 
-/* The same by the full Newton iteration; where it had to start anew C may nearly lose its rank. */
+/* The same by the full Newton iteration; C may nearly lose its rank where it had to start anew. */
 static int full_step(pair_steps *self, dal_motion *motion, double t, double end)
 {
     dal_mechanics *const mech = motion->mechanics;
+    dal__rank *const rank = &motion->guards->rank;
     const size_t anew = motion->stats->full_newtons;
     int status = dal__newton_step(&self->newton, mech, t, end, self->alpha, self->beta, motion->h,
                                   false, self->x, self->kappa, motion->stats);
-    if (status || motion->stats->full_newtons == anew) return status;
-    return dal__rank_look(&motion->guards->rank, mech, end, 0.0, DAL__UNRESOLVED, self->x);
+    if (status) return status;
+    const bool strays = dal__rank_strays(rank, self->newton.inverse);
+    if (!strays && motion->stats->full_newtons == anew) return DAL_SUCCESS;
+    return dal__rank_pass(rank, mech, t, 0.0, motion->h, motion->scheme->order, motion->x);
 }
 
 /* One step from self->x, in place. */

@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 8, OF = 8, FIELDS = 52, HEAD = OF + FIELDS };
+enum { VERSION = 9, OF = 8, FIELDS = 54, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -44,6 +44,7 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.counter = &rank->doubts}, {.real = &creep->count}, {.real = &creep->length},
         {.real = &creep->longest}, {.real = &creep->shortest}, {.real = &creep->t},
         {.real = &creep->mark}, {.counter = &creep->since},
+        {.energy = &rank->range[0]}, {.energy = &rank->range[1]},
         {.real = &self->reversible.rho}, {.real = &self->reversible.speed},
         {.real = &self->reversible.fastest}, {.flag = &self->reversible.settled},
         {.counter = &motion->first}, {.real = &self->pace.seen}, {.real = &self->pace.share},

@@ -31,6 +31,7 @@ typedef struct newton {
     double *R1, *R2, *B;            /* [n], [m], [m*n] */
     dal__linear K, S;               /* of n and of m equations */
     double *y, *KZ, *r;             /* [n], [m*n], [m] */
+    double inverse;                 /* log2 of 1/|det S| of the last one */
     dal_mechanics *mech;            /* of the step that is being solved */
     dal_stats *stats;
     dal_mechanics whole;            /* which makes it, with all entries and K, of curved systems */
@@ -48,10 +49,6 @@ void dal__newton_restore(newton *solver, const double *values);
  * is in mech->error. */
 int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double alpha,
                      double beta, double h, bool kept, double *x, double *kappa, dal_stats *stats);
-
-/* A pivot of C beside which a stage that needs the full Newton iteration is one of steps too long
- * to see how the constraints turn there: see dal__rank. */
-#define DAL__UNRESOLVED 1e-2
 
 /* Whether the energy jumps (jump.c): looked at now and then, never where something does work or
  * depends on time, or by schemes of order 1, which drift by design. */

@@ -1,6 +1,6 @@
 /* A system, a scheme and a state that is stepped. */
 #include "dalembert/family.h"
-#include "step/step.h"
+#include "step/beta.h"
 
 #include <math.h>
 #include <string.h>
@@ -19,7 +19,7 @@ static int allocate(dal_stepper **stepper, const dal_system *system, const dal_s
     dal__mechanics_reserve(&shape.mech, system, &memory);
     DAL__RESERVE(&memory, dal__times(2, n), &shape.motion.x, &shape.fresh);
     DAL__RESERVE(&memory, system->def.m, &shape.motion.impulse);
-    dal__rank_reserve(&shape.guards.rank, system->def.m, &memory);
+    dal__rank_reserve(&shape.guards.rank, n, system->def.m, &memory);
     if (system->def.driven) DAL__RESERVE(&memory, system->def.inputs, &shape.applied);
     const int status = dal__allocate(&memory, error);
     if (status) return status;
@@ -101,9 +101,11 @@ double dal_stepper_time(const dal_stepper *stepper)
 void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
 {
     const evaluator *const e = &stepper->mech.eval;
+    const dal_kernel *const kernel = dal__beta_kernel(stepper);
+    const size_t stages = kernel ? kernel->stages : dal__scheme_count(&stepper->scheme);
     *stats = *stepper->motion.stats;
     stats->steps = stepper->motion.steps;
-    stats->substeps = stats->steps * dal__scheme_count(&stepper->scheme);
+    stats->substeps = stats->steps * stages;
     stats->worst_residual *= 1.0 + 2.0 * DBL_EPSILON; /* the step compares without dividing */
     /* the evaluator counts what goes through it; the step routine's calls do if it differences */
     if (e->constraint_ctx == e) stats->constraint_calls = 0;
@@ -118,13 +120,7 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->jump_step = stepper->jump.step;
     stats->jump = stepper->jump.change;
     stats->largest_kinetic = stepper->jump.kinetic;
-    const struct dal__guards *const guards = &stepper->guards;
-    stats->least_pivot = guards->rank.least;
-    stats->least_pivot_t = guards->rank.t;
-    stats->least_pivot_rows = guards->rank.rows;
-    stats->rank_doubts = guards->rank.doubts;
-    stats->least_step = dal__creep_shortest(&guards->creep);
-    stats->least_step_t = guards->creep.t;
+    dal__guards_tell(&stepper->guards, stats);
 }
 
 int dal_stepper_input(dal_stepper *stepper, const double *u)

@@ -40,7 +40,7 @@ typedef int (*dal_field_fn)(double t, const double *x, const double *u, const do
 
 /* A step routine that was compiled for one system: what compiled of its dal_system_def points
  * to. */
-#define DAL_COMPILED_ABI 12u
+#define DAL_COMPILED_ABI 13u
 typedef struct dal_lanes_routine dal_lanes_routine;
 typedef struct dal_compiled {
     unsigned abi;  /* DAL_COMPILED_ABI, */

@@ -328,6 +328,10 @@ DAL_API size_t dal_flow_chart_changes(const dal_flow *flow);
 /* Evaluations of the vector field so far. */
 DAL_API size_t dal_flow_evaluations(const dal_flow *flow);
 
+/* *stats <- least_pivot, least_pivot_t, least_pivot_rows, rank_doubts, least_step and least_step_t
+ * of the last integration, and 0 for the rest; a flow in xi does not look at pivots. */
+DAL_API void dal_flow_stats(const dal_flow *flow, dal_stats *stats);
+
 /* </cdef> */
 
 #ifdef __cplusplus

@@ -177,11 +177,15 @@ struct dal_kernel {
     int (*finish)(dal_kernel *k, double number, const dal_stage *s, bool solved);
     /* at.d[m] <- the moves of residual.h at at.point, at.w and the time t. */
     int (*measure)(dal_kernel *k, double t);
-    /* Where there are at.rows: S of the stage from at.Z and mu + b N, factored; the sign of its
-     * determinant, 0 where it is singular.  And at.d <- S^-1 at.r. */
+    /* Where 1/|det S| of a stage leaves the range: how near C comes to losing its rank on the way
+     * from at.x.  Sets the range anew. */
+    int (*look)(dal_kernel *k, double number, const dal_stage *s, double inverse);
+    /* Where there are at.rows: S of the stage from at.Z and mu + b N, factored, and at.S[0] <- log2
+     * of 1/|det S|; the sign of its determinant, 0 where it is singular.  And at.d <- S^-1 at.r. */
     int (*factor)(dal_kernel *k, double b);
     void (*solve)(const dal_kernel *k);
 
+    double range[2];       /* from the first to the second, see look; of its log2 with at.rows */
     double t0, h;          /* step k, counted in stats, begins at t0 + (k - first) h */
     size_t first;
     const double *weight;  /* [stages+1], and where the sum of weight[i] (Y_i - Y_0) over the */
@@ -782,6 +786,20 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(form_node)(dal_kernel *k, const dal_traits
                                  at->x + n, at->mu_node, NULL);
 }
 
+/* ---- look at C, where S, which is factored, is smaller or larger than it has been */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(look)(dal_kernel *k, const dal_traits *o,
+                                            const dal_arrays *at)
+{
+    DAL_KERNEL_SIZES;
+    if (m == 0) return DAL_SUCCESS;
+    const double inverse = at->rows ? at->S[0] : dal_lu_inverse_determinant(m, at->S);
+    if (DAL_KERNEL_RARE(!(k->range[0] <= inverse && inverse <= k->range[1]))) {
+        DAL_KERNEL_COPY(2 * n, at->x, k->at.x);
+        return k->look(k, o->number, o->stage, inverse);
+    }
+    return DAL_SUCCESS;
+}
+
 /* ---- factor: S, with mu at the prediction, and then at the node: more has to wait for the first.
  * Like iterate it returns > 0 where the stage is left to k->finish. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o,
@@ -810,7 +828,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
     if (returned > 0) return 1;
     const double b = s->after * k->h;
-    return (at->rows ? k->factor(k, b) : dal_kernel_factor(n, m, o->has, b, at)) <= 0;
+    const int sign = at->rows ? k->factor(k, b) : dal_kernel_factor(n, m, o->has, b, at);
+    return sign <= 0 ? 1 : DAL_KERNEL_PART(look)(k, o, at);
 }
 
 /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */

@@ -9,8 +9,9 @@
  *
  * This is the fast path alone: moved nodes, constant mass, linear constraints, callbacks that never
  * refuse, no force that depends on v.  A lane whose stage kernel.h would hand over to
- * dal_kernel.finish, or whose S is not seen to be regular without an estimate of its inverse, stops
- * where it stood before the step, for the step routine of kernel.h to go on from there.
+ * dal_kernel.finish or look, or whose S is not seen to be regular without an estimate of its
+ * inverse, stops where it stood before the step, for the step routine of kernel.h to go on from
+ * there.
  *
  * One text, a compilation for each set of instructions.  The includer defines
  *     DAL_LANES(name)             that name with an ending of its own for each set
@@ -40,7 +41,7 @@ typedef struct dal_lanes_block {
     size_t stages;
     bool plain, steady;  /* as of a dal_kernel */
     size_t parameters;
-    double *given;       /* t0, h, mass_inverse[n*n], unit[n], per_unit[n], parameters[] */
+    double *given;       /* t0, h, range[2], M^-1[n*n], unit[n], per_unit[n], parameters[] */
     double *carried;     /* from step to step, see below */
 } dal_lanes_block;
 
@@ -187,7 +188,7 @@ typedef struct DAL_LANES(state) {
 } DAL_LANES(state);
 
 typedef struct DAL_LANES(given) {
-    dal_vec t0, h, mass_inverse[DAL_N * DAL_N], unit[DAL_N], per_unit[DAL_N], p[];
+    dal_vec t0, h, range[2], mass_inverse[DAL_N * DAL_N], unit[DAL_N], per_unit[DAL_N], p[];
 } DAL_LANES(given);
 
 typedef struct DAL_LANES(traits) {
@@ -505,7 +506,11 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(factor)(const DAL_LANES(traits) *o, DAL_LAN
     }
     if (DAL_M == 0) return at->open;
     DAL_LANES(form_S)(o, at);
-    return DAL_LANES(factor_lu)(at) & at->open;
+    const dal_mask regular = DAL_LANES(factor_lu)(at);
+    dal_vec inverse = at->S[0];
+    for (size_t a = 1; a < DAL_M; a++) inverse *= at->S[a * (DAL_M + 1)];
+    inverse = DAL_LANES(fabs)(inverse);
+    return regular & at->open & (inverse >= o->given->range[0]) & (inverse <= o->given->range[1]);
 }
 
 /* ---- iterate */

@@ -74,6 +74,14 @@ static inline void dal_lu_solve_transposed(size_t m, const double *A, const size
     }
 }
 
+/* 1/|det A|, the product of the inverted pivots in the factors of A[m*m], m > 0. */
+DAL_LU_INLINE double dal_lu_inverse_determinant(size_t m, const double *A)
+{
+    double product = A[0];
+    for (size_t i = 1; i < m; i++) product *= A[i * (m + 1)];
+    return fabs(product);
+}
+
 /* The factors of a matrix, and what solves with them: as the two functions above. */
 typedef struct dal_lu_factors {
     void (*solve)(const struct dal_lu_factors *self, const double *b, double *x);

@@ -392,7 +392,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(linearise)(dal_kernel *k, const dal_traits
                                   balance->F_q, balance->F_v);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_BALANCE, returned);
     if (returned > 0) return 1;
-    return !DAL_KERNEL_PART(form)(k, o, of, at, balance);
+    if (!DAL_KERNEL_PART(form)(k, o, of, at, balance)) return 1;
+    return DAL_KERNEL_PART(look)(k, o, at);
 }
 
 /* reaction <- mu_k^T kappa. */

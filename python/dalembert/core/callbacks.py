@@ -69,11 +69,17 @@ def _write(target: Any, value: Any, shape: tuple[int, ...], name: str) -> None:
 
 def _remember(kind: type[BaseException], value: BaseException, traceback: Any) -> int:
     """Keep the exception of a callback until C has returned, and say so to C."""
-    raised.exception = value.with_traceback(traceback)
+    _keep(kind, value, traceback)
     return 1 if isinstance(value, DomainError) else lib.DAL_EUSER
 
 
+def _keep(kind: type[BaseException], value: BaseException, traceback: Any) -> None:
+    """Keep the exception of a callback that asks to stop by a positive number, so not with one."""
+    raised.exception = value.with_traceback(traceback)
+
+
 _trampoline = functools.partial(ffi.def_extern, error=lib.DAL_EUSER, onerror=_remember)
+_watching = functools.partial(ffi.def_extern, error=lib.DAL_EUSER, onerror=_keep)
 
 
 # The arrays that a user's function gets are copies, of the 24 bytes of a particle say, made as a
@@ -237,7 +243,7 @@ def dal_py_map(
     return 0
 
 
-@_trampoline()
+@_watching()
 def dal_py_watch(t: float, ctx: Any) -> int:
     _from_handle(ctx)(t)
     return 0
@@ -261,7 +267,7 @@ def watching(one: Any, show: Callable[[float], Any] = ignore) -> Iterator[None]:
         watch(one, ffi.NULL, ffi.NULL)
 
 
-@_trampoline()
+@_watching()
 def dal_py_observer(step: int, t: float, x: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     answer = call.observer(step, t, *_halves(call, x))
@@ -273,7 +279,7 @@ def dal_py_observer(step: int, t: float, x: Any, ctx: Any) -> int:
         ) from error
 
 
-@_trampoline()
+@_watching()
 def dal_py_control(step: int, t: float, x: Any, u: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     inputs = call.control(t, *_halves(call, x))
@@ -312,7 +318,7 @@ def dal_py_law(t: float, x: Any, values: Any, ctx: Any) -> int:
     return 0
 
 
-@_trampoline()
+@_watching()
 def dal_py_happened(event: int, step: int, t: float, x: Any, after: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     size = 2 * call.bytes

@@ -22,7 +22,7 @@ import numpy as np
 from ..core import DalembertError, files
 from . import work
 
-VERSION = 1
+VERSION = 2
 ABOUT = "ensemble.json"
 _GIVEN = re.compile(r"given-([0-9a-f]{12})-(.+)\.npy")  # for the members of a mark
 _BLOCK = re.compile(r"block-(\d{9})\.npz")

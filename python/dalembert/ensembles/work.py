@@ -35,6 +35,7 @@ STATISTICS = {
     "worst_residual": np.float64,
     "initial_correction": np.float64,
     "jump_step": np.int64,
+    "least_pivot": np.float64,
 }
 
 # Names that nothing else can have.
@@ -102,7 +103,7 @@ def layout(setting: Setting, rows: int) -> dict[str, tuple[tuple[int, ...], Any,
         "done": ((), np.int64, 0),
         "t_end": ((), np.float64, np.nan),
         "doubtful": ((), np.bool_, False),
-        **{name: ((), kind, 0) for name, kind in STATISTICS.items()},
+        **{name: ((), kind, name == "least_pivot") for name, kind in STATISTICS.items()},
     }
     if setting.events:
         found["ended_by"] = (), np.int64, -1

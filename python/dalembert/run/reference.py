@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry
-from ..core import Array, arguments, lib, require_system
+from ..core import Array, DalembertWarning, arguments, ffi, lib, require_system
 from ..system import System
 from .events import CONSISTENCY
 from .runs import consistent_state
 from .scheme import METHODS
+from .solution import rank_doubt
 from .taylor import require_supported, state
 
 COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
@@ -73,6 +75,11 @@ def reference(
     -------
     Reference
 
+    Warns
+    -----
+    DalembertWarning
+        If the constraints nearly lose rank on the way, in the coordinates x (not by "taylor").
+
     Raises
     ------
     ValueError
@@ -111,4 +118,8 @@ def reference(
     accuracy = np.empty(1)
     with core.watching(flow):
         core.call(system.kind, lib.dal_flow_apply, flow, t0, t, x, accuracy)
+    counts = ffi.new("dal_stats *")
+    lib.dal_flow_stats(flow, counts)
+    if counts.rank_doubts:
+        warnings.warn(rank_doubt(counts), DalembertWarning, stacklevel=2)
     return Reference(x[: system.n], x[system.n :], float(accuracy[0]))

@@ -854,12 +854,12 @@ class System(Handle):
         Parameters
         ----------
         name : str, optional
-            As of `c_source`.
+            As in `c_source`.
 
         Raises
         ------
         ValueError
-            If the system was not made from expressions, or the name is no identifier.
+            As in `c_source`.
 
         Examples
         --------

@@ -336,12 +336,13 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, KEEPS, EPS, T0, H, TAKEN,
        LOOKING, SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 22,
        FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, UNCONTROLLED, RANK_ROWS = 42, RANK_DOUBTS,
-       SINCE = 50, SETTLED = 54, BEGUN, SEEN, SHARE, NEXT_H, LAST_ERROR, HEAD };
+       SINCE = 50, RANGE, SETTLED = 56, BEGUN, SEEN, SHARE, NEXT_H, LAST_ERROR, HEAD };
 
 /* Whether nothing but a refusal will do; the words are those that it has to have. */
 static bool is_hopeless(size_t i, double spoil, char words[32])
 {
-    const bool energy = (ENERGY <= i && i <= JUMP && i != JUMP_STEP) || i == KEPT || i == UNDONE;
+    const bool energy = (ENERGY <= i && i <= JUMP && i != JUMP_STEP) || i == KEPT || i == UNDONE
+                     || i == RANGE || i == RANGE + 1;
     const bool counter = i == TAKEN || i == JUMP_STEP || (FIRST_COUNT <= i && i <= LAST_COUNT)
                       || (FIRST_CALLS <= i && i <= UNCONTROLLED && !energy) || i == BEGUN
                       || i == RANK_ROWS || i == RANK_DOUBTS || i == SINCE;

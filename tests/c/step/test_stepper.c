@@ -1014,7 +1014,7 @@ static void test_statistics(void)
             dal_stepper_stats(stepper, &stats);
             const double calls = (double)(stats.constraint_calls - start.constraint_calls) / STEPS;
             CHECK(s == 1 ? calls >= 3.0 && calls <= 3.2 : calls >= 2.0 && calls <= 2.2);
-            CHECK(stats.steps == STEPS && stats.substeps == STEPS * (j + 1));
+            CHECK(stats.steps == STEPS && stats.substeps == STEPS);
             CHECK(stats.iterations >= STEPS && stats.potential_calls == start.potential_calls);
             CHECK(stats.full_newtons == 0 && stats.halvings == 0);
             CHECK(stats.worst_residual <= DAL_RESIDUAL_BOUND(dal_system_n(system)));
@@ -1107,7 +1107,7 @@ static void test_looks(void)
     dal_system_free(system);
 }
 
-/* What the predictions of a stage leave to be evaluated: three times in two stages at best, where
+/* What the predictions of a stage leave to be evaluated: three times in a stage at best, where
  * the parabola, or the line, through the stages before serves; more where their times differ so
  * much that neither does. */
 static void test_predictions(void)
@@ -1115,11 +1115,11 @@ static void test_predictions(void)
     static const struct {
         const char *system, *scheme;
         double h, most;
-    } cases[] = {{"sleigh", "leapfrog", 0.02, 1.52},          /* 1.62 along lines only */
-                 {"generic4", "leapfrog", 0.02, 1.53},        /* 1.57 where weights end at 5 */
-                 {"snakeboard", "leapfrog-suzuki4", 0.1, 1.67}, /* 1.72 where they end at 30 */
-                 {"sleigh", "leapfrog-suzuki4", 0.02, 1.51},  /* 1.63 without lines */
-                 {"sleigh", "leapfrog-kl8", 0.02, 1.51}};     /* 1.96 by pulls of any span */
+    } cases[] = {{"sleigh", "leapfrog", 0.02, 3.04},          /* 3.24 along lines only */
+                 {"generic4", "leapfrog", 0.02, 3.06},        /* 3.14 where weights end at 5 */
+                 {"snakeboard", "leapfrog-suzuki4", 0.1, 3.34}, /* 3.44 where they end at 30 */
+                 {"sleigh", "leapfrog-suzuki4", 0.02, 3.02},  /* 3.26 without lines */
+                 {"sleigh", "leapfrog-kl8", 0.02, 3.02}};     /* 3.92 by pulls of any span */
     for (size_t i = 0; i < DAL_LENGTH(cases); i++) {
         dal_system *const system = open_system(cases[i].system);
         const dal_scheme scheme = find_scheme(cases[i].scheme);

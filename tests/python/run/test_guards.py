@@ -47,18 +47,82 @@ def test_a_dead_centre_is_passed_warned_of_or_refused(scheme, how):
         assert abs(run.stats.least_pivot_t + x0) < 1e-3  # it comes to 0 at t = -x0
 
 
-def test_a_motion_beside_a_dead_centre_is_not_doubted():
-    # a hyperbola g = 1e-4, whose vertex is 1e-2 from 0; the pivot there is about 1e-4
+def beside_the_crossing():
+    """A start on the hyperbola g = 1e-4, whose vertex is 1e-2 from 0: the pivot there is 1e-4."""
     w = 1e-4 / (0.7 * B @ AHEAD)
     q0 = 0.7 * AHEAD + w * A
     slope = (B @ q0) * A + (A @ q0) * B
     v0 = np.array([slope[1], -slope[0]]) / np.hypot(*slope)
-    v0 *= -np.sign(v0 @ q0)
+    return q0, -np.sign(v0 @ q0) * v0
+
+
+def test_a_motion_beside_a_dead_centre_is_not_doubted():
+    q0, v0 = beside_the_crossing()
     run, said = run_of(CROSSING, None, q0, v0, t_end=1.5, **AUTO)
     assert run.success and not said
     assert abs((A @ run.q[-1]) * (B @ run.q[-1]) - (A @ q0) * (B @ q0)) < 1e-8
     assert np.hypot(*run.q[-1]) > 0.5  # it is beyond
     assert 1e-5 < run.stats.least_pivot < 1e-2 and run.stats.rank_doubts == 0
+
+
+# The curve y = 0.6 x^2, on which a free point keeps its speed, crosses a line at 0.
+_curve = (y - 3 * x**2 / 5) * (x + 3 * y / 10)
+CURVED = dal.System.from_sympy(
+    (x.d**2 + y.d**2) / 2, [sum(_curve.diff(z) * z.d for z in (x, y))], [x, y]
+)
+
+
+def on_the_curve(x0):
+    return [x0, 0.6 * x0**2], [1.3, 1.3 * 1.2 * x0]
+
+
+@pytest.mark.parametrize("scheme", [
+    "explicit", "endpoint", "0.3", "explicit-nodes", "midpoint-nodes", "midpoint", "leapfrog",
+    "leapfrog-mirror", "leapfrog-kl8", "leapfrog-ss10", "bm6", "pair:0.5:0.5",
+])  # fmt: skip
+def test_fixed_steps_through_a_curved_dead_centre_are_warned_of_or_refused(scheme):
+    how = {"initial": "project"} if "nodes" in scheme else {}
+    for x0, h in ((-0.53, 0.01), (-0.71, 0.003), (-0.97, 0.03), (-0.3, 0.001)):
+        steps = int(1.4 * abs(x0) / 1.3 / h)
+        run, said = run_of(CURVED, scheme, *on_the_curve(x0), h=h, steps=steps, **how)
+        assert run.stats.rank_doubts > 0 and run.stats.least_pivot_rows == (0,)
+        assert not run.success or any("constraints[0] nearly lost rank" in text for text in said)
+
+
+@pytest.mark.parametrize("scheme, h", [
+    ("explicit", 1e-5), ("endpoint", 1e-5), ("leapfrog", 2e-3), ("midpoint", 2e-3),
+    ("leapfrog-kl8", 2e-3), ("pair:0.5:0.5", 2e-3),
+])  # fmt: skip
+def test_fixed_steps_that_resolve_a_motion_beside_a_dead_centre_are_not_doubted(scheme, h):
+    q0, v0 = beside_the_crossing()
+    steps = round(1.5 / h)
+    run, said = run_of(CROSSING, scheme, q0, v0, h=h, steps=steps, stride=steps)
+    assert run.success and not said
+    assert abs((A @ run.q[-1]) * (B @ run.q[-1]) - 1e-4) < 2e-5  # the hyperbola
+    assert np.hypot(*run.q[-1]) > 0.5
+    assert 1e-5 < run.stats.least_pivot < 1e-2
+
+
+def test_steps_that_turn_a_blade_by_any_angle_are_not_doubted():
+    for h in (0.7, 1.3, 2.0):
+        for scheme in ("leapfrog", "explicit", "midpoint"):
+            run, _ = run_of(dal.systems.sleigh(), scheme, h=h, steps=40)
+            assert run.stats.rank_doubts == 0
+
+
+def test_rows_of_a_sparse_constraint_are_looked_at():
+    def forms(q):
+        x, y, X, Y = q
+        a, b = x + 0.3 * y, y - 0.6 * x**2
+        return [-1.2 * x * a + b, a + 0.3 * b, Y, X + 3]
+
+    system = dal.System(mass=[1] * 4, forms=forms, sparsity=[[1, 1, 0, 0], [0, 0, 1, 1]])
+    (x0, y0), (u0, w0) = on_the_curve(-0.71)
+    start = [x0, y0, 1, 0], [u0, w0, 0.3, 0]
+    for scheme, how in (("explicit", {"h": 0.01}), ("reference", {"h": 1.0})):
+        run, said = run_of(system, scheme, *start, steps=100 if scheme == "explicit" else 1, **how)
+        assert run.success and "constraints[0] nearly lost rank" in said[0]
+        assert run.stats.least_pivot_rows == (0,)
 
 
 def test_constraints_that_are_nearly_dependent_all_the_time_are_not_doubted():
@@ -98,6 +162,34 @@ def test_members_of_an_ensemble_know_their_least_pivot():
     starts = np.array([-0.5, 1.0])[:, None] * AHEAD
     found = dal.ensemble(CROSSING, "reference", q0=starts, v0=AHEAD, h=1.0, t_end=1)
     assert found.doubtful.tolist() == [True, False]
+    assert found.least_pivot[0] < 1e-6 < found.least_pivot[1] == 1
+
+    q, v = map(np.array, zip(*map(on_the_curve, np.linspace(-0.9, 0.3, 20))))
+    for lanes in (True, False):
+        found = dal.ensemble(CURVED, "explicit", q0=q, v0=v, h=0.01, steps=60, lanes=lanes)
+        for k in range(len(q)):
+            run, said = run_of(CURVED, "explicit", q[k], v[k], h=0.01, steps=60)
+            assert found.least_pivot[k] == run.stats.least_pivot
+            assert found.doubtful[k] == bool(said)
+    assert 5 < found.doubtful.sum() < 18
+
+
+def test_a_stepper_restored_before_a_dead_centre_looks_where_the_first_would():
+    first = dal.Stepper(CURVED, "explicit", *on_the_curve(-0.53), h=0.01)
+    first.step(steps=35)
+    second = dal.Stepper(CURVED, "explicit", *on_the_curve(-0.53), h=0.01)
+    second.restore(first.save())
+    for stepper in (first, second):
+        stepper.step(steps=30)
+    assert second.stats == first.stats and first.stats.rank_doubts > 0
+
+
+def test_reference_warns_of_a_dead_centre():
+    with pytest.warns(dal.DalembertWarning, match=r"near t = 0.5 constraints\[0\] nearly lost"):
+        dal.reference(CROSSING, -0.5 * AHEAD, AHEAD, t=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dal.reference(CROSSING, -0.5 * AHEAD, AHEAD, t=0.4)
 
 
 def test_a_collision_is_said():

@@ -481,6 +481,18 @@ def test_arrays_are_views_of_one_buffer(particle):
     np.testing.assert_array_equal(run.y.T, run.x)
 
 
+@pytest.mark.parametrize("option", ["observer", "progress", "inputs"])
+def test_a_domain_error_of_what_may_stop_a_run_is_its_own(option):
+    (x,), u = dal.coordinates("x"), sp.Symbol("u")
+    system = dal.System.from_sympy(x.d**2 / 2, force={x: u}, inputs=[u], q0=[0], v0=[1])
+
+    def refuse(*given):
+        raise dal.DomainError("outside of the table")
+
+    with pytest.raises(dal.DomainError, match="^outside of the table$"):
+        dal.integrate(system, h=1e-4, steps=100_000, **{option: refuse})
+
+
 def test_solution_is_a_mapping(particle):
     run = dal.integrate(particle, "midpoint", h=0.1, steps=10)
     keys = "t q v multipliers reactions energy constraint residual h success status message y x"
@@ -492,6 +504,8 @@ def test_solution_is_a_mapping(particle):
         run["lam"]
     assert run.success and run.status == 0 and run.message == "10 steps to t = 1"
     assert run.stats.steps == run.stats.substeps == 10
+    for scheme, stages in (("leapfrog", 1), ("leapfrog-kl8", 17), ("bm6", 10)):  # fused pairs
+        assert dal.integrate(particle, scheme, h=0.1, steps=10).stats.substeps == 10 * stages
     assert run == run and run != dal.integrate(particle, "midpoint", h=0.1, steps=10)
 
 
