@@ -649,7 +649,8 @@ class System(Handle):
         depends on time at t + 1.  The growth vector of D, and with it whether D is integrable, is
         found with many digits for a system made by `from_sympy`, and for one whose formulas say
         what it is if SymPy is installed; else by its functions, as far as their digits go.  For a
-        system that depends on time it is not sought.
+        system that depends on time, or whose constraints depend on inputs, it is not sought; the
+        velocity of the latter has to satisfy the constraints with inputs 0.
 
         Parameters
         ----------

@@ -698,6 +698,22 @@ def test_a_prescribed_velocity(stride):
     np.testing.assert_allclose(run.energy, ((run.v**2).sum(axis=1) / 2 + 3 * run.q[:, 0]))
 
 
+def test_a_prescribed_speed():
+    """Not linear in v: the impulse is along the velocity, which keeps its direction."""
+    x, y = dal.coordinates("x y")
+    u = sympy.Symbol("u")
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2, [x.d**2 + y.d**2 - u**2], inputs=[u], q0=[0, 0], v0=[0.6, 0.8]
+    )
+    speeds = np.array([1.0, 3.0, 0.5])
+    run = dal.integrate(system, "midpoint", h=0.25, steps=6, inputs=speeds[:, None], hold=2)
+    assert system.kind == "nonlinear"
+    np.testing.assert_allclose(run.v[2::2], speeds[:, None] * [0.6, 0.8], atol=1e-15)
+    np.testing.assert_allclose(run.q[2::2, 1], np.cumsum(speeds) * 0.4, atol=1e-15)
+    # (3 - 1) e = 2 v Lambda with v = e
+    np.testing.assert_allclose(run.reactions[:, 0], [0, 0, 4, 0, -2.5 / 6 / 0.25, 0], atol=1e-14)
+
+
 def test_a_wheel_that_turns_its_carrier():
     """The momentum of both is kept in a jump, which is one in the metric of the mass."""
     x, y = dal.coordinates("x y")
