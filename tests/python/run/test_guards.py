@@ -116,13 +116,14 @@ def test_rows_of_a_sparse_constraint_are_looked_at():
         a, b = x + 0.3 * y, y - 0.6 * x**2
         return [-1.2 * x * a + b, a + 0.3 * b, Y, X + 3]
 
-    system = dal.System(mass=[1] * 4, forms=forms, sparsity=[[1, 1, 0, 0], [0, 0, 1, 1]])
+    # small masses make large pivots
+    system = dal.System(mass=[1e-6] * 4, forms=forms, sparsity=[[1, 1, 0, 0], [0, 0, 1, 1]])
     (x0, y0), (u0, w0) = on_the_curve(-0.71)
     start = [x0, y0, 1, 0], [u0, w0, 0.3, 0]
     for scheme, how in (("explicit", {"h": 0.01}), ("reference", {"h": 1.0})):
         run, said = run_of(system, scheme, *start, steps=100 if scheme == "explicit" else 1, **how)
         assert run.success and "constraints[0] nearly lost rank" in said[0]
-        assert run.stats.least_pivot_rows == (0,)
+        assert run.stats.least_pivot_rows == (0,) and run.stats.least_pivot < 0.1
 
 
 def test_constraints_that_are_nearly_dependent_all_the_time_are_not_doubted():
