@@ -62,7 +62,8 @@ def milliseconds(count: int, scheme: str) -> float:
     least = np.inf
     for _ in range(REPETITIONS):
         start = time.perf_counter()
-        dal.integrate(system, scheme, q0, v0, h=0.01, steps=STEPS, stride=STEPS)
+        dal.integrate(system, scheme, q0, v0, h=0.01, steps=STEPS, stride=STEPS,
+                      check_h=False)
         least = min(least, 1e3 * (time.perf_counter() - start) / STEPS)
     return least
 

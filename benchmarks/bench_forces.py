@@ -31,7 +31,7 @@ class Case:
         q0, v0 = self.start or (self.system.q0, self.system.v0)
         start = time.perf_counter()
         dal.integrate(self.system, self.scheme, q0, v0, h=H, steps=STEPS, stride=STEPS,
-                      inputs=self.inputs)
+                      inputs=self.inputs, check_h=False)
         self.least = min(self.least, 1e9 * (time.perf_counter() - start) / STEPS)
 
 

@@ -23,6 +23,7 @@ import numpy as np
 import dalembert as dal
 
 robot = dal.systems.robot()
+# Steps so large that the maps differ: the warning that h is too large is turned off.
 h, steps = 0.05, 2000
 pairs = [(0.5, 0.5), (0.25, 0.5), (0.0, 0.5), (0.5, 0.0), (0.5, 1.0)]
 
@@ -33,7 +34,7 @@ pairs = [(0.5, 0.5), (0.25, 0.5), (0.0, 0.5), (0.5, 0.0), (0.5, 1.0)]
 runs, errors = {}, {}
 print("beta_L  beta_D    min E - E(0)    max E - E(0)  residual of D")
 for pair in pairs:
-    run = runs[pair] = dal.integrate(robot, dal.Scheme.pair(*pair), h=h, steps=steps)
+    run = runs[pair] = dal.integrate(robot, dal.Scheme.pair(*pair), h=h, steps=steps, check_h=False)
     q, v, _ = dal.Discrete(robot, *pair).advance(h, run.q[-2], run.v[-2], t=run.t[-2])
     if max(abs(q - run.q[-1]).max(), abs(v - run.v[-1]).max()) > 1e-11:
         sys.exit("a step of the run is not that of the discrete mechanics")

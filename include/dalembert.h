@@ -464,6 +464,16 @@ typedef struct dal_stats {
     double least_step;          /* of steps that choose their size: the shortest, beside the mean of
                                    those before; 1 for others */
     double least_step_t;        /* when */
+    double error;               /* about how large the error of the state is at the end of a run,
+                                   relative to its size: of each q the way that it has gone, of each
+                                   v its largest value.  From `remade` steps of another size, that
+                                   were made beside those of the run; whole = 1: the whole run was
+                                   made again, or its first 131072 steps, or what follows its last
+                                   reset.  Else samples were, whose errors are added up, which is
+                                   mostly more than the error.  Above 0.06 with whole = 1, h is too
+                                   large; INFINITY: steps of h/2 cannot be made, and there is
+                                   reason to doubt those of h.  0: no estimate, see dal_run */
+    size_t remade, whole;
 } dal_stats;
 
 /* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step the
@@ -579,6 +589,14 @@ typedef struct dal_run {
     size_t time_count;
     double *at;             /* [time_count*2n]: the states at times, in the set the scheme keeps */
     struct dal_journal *journal; /* see dalembert/journal.h; or NULL */
+    int unchecked;          /* 1: there is no estimate of the error.  Else a run of steps of h, by a
+                               scheme that has an order, makes one, with other steps: for a run of
+                               less than 1000 steps, or whose samples are suspect, with 2h, 4h or 8h
+                               after its end, and where these do not clear it with h/2.  No bit of
+                               the run depends on it, and observers, controls and events are not
+                               asked again */
+    size_t checks;          /* steps that are left to be made again, when all are made: the run may
+                               go on until it is 0, and then the estimate stands in dal_stats */
     double until;           /* of steps whose size varies: the run ends there, or after `steps`; x
                                has room for one row more, the last, which is stored in any case */
     double held;            /* of steps whose size varies, instead of hold: row k of inputs is for

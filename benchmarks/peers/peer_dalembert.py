@@ -48,7 +48,9 @@ def methods(problem: Problem) -> Iterator[Method | Refused]:
     def run(scheme: Any, state: np.ndarray, times: np.ndarray, **options: Any) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", dal.DalembertWarning)
-            return dal.integrate(model, scheme, state[:n], state[n:], t0=times[0], **options)
+            return dal.integrate(
+                model, scheme, state[:n], state[n:], t0=times[0], check_h=False, **options
+            )
 
     def fixed(scheme: Any, **options: Any) -> Solve:
         def solve(steps: float, state: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -233,7 +233,8 @@ static void prepare_run(worker *self)
     dal_run *const run = &self->run;
     *run = (dal_run){.stepper = self->stepper, .steps = steps, .events = self->events,
                      .stride = stride > 0 ? stride : steps > 0 ? steps : 1,
-                     .hold = members->hold, .watch = self->watch.function ? relay : NULL,
+                     .hold = members->hold, .unchecked = 1,
+                     .watch = self->watch.function ? relay : NULL,
                      .watch_ctx = self};
     if (members->inputs) run->inputs = (double *)ROW_OF(members, inputs, k); /* which are read */
     if (members->control) {

@@ -173,13 +173,27 @@ static int look_and_step(dal_run *run, size_t *made)
     return status ? status : DAL_STOPPED;
 }
 
+/* At the end of a call with this status, which is returned, or that of the journal. */
+static int pause_journal(const dal_run *run, int status)
+{
+    if (!run->journal) return status;
+    const dal_error error = run->stepper->error;
+    const int kept = dal__journal_pause(run, status);
+    if (!status) return kept;
+    run->stepper->error = error;
+    return status;
+}
+
 int dal_run_go(dal_run *run, size_t budget)
 {
     if (!run || !run->stepper) return DAL_EINVAL;
     dal_motion *const motion = &run->stepper->motion;
     int status = dal__run_check(run);
     if (status) return status;
+    if (run->checks > 0) dal__guard_check(run, budget);
+    else dal__guard_begin(run);
     if (run->ended) return DAL_STOPPED;
+    if (run->checks > 0) return DAL_SUCCESS;
     if (run->control && run->done == 0 && run->handed == 1)
         dal__copy(motion->system->def.inputs, motion->input, run->inputs);
     status = dal__journal_begin(run);
@@ -197,21 +211,21 @@ int dal_run_go(dal_run *run, size_t budget)
         if (left > budget) left = budget;
         left = steps_of_inputs(run, left);
         if (run->journal && left > MOST_AT_ONCE) left = MOST_AT_ONCE;
+        if (left > dal__guard_stop(run)) left = dal__guard_stop(run);
         if (run->events) status = look_and_step(run, &made);
         else status = dal__stepper_advance(run->stepper, left, &made);
         budget -= made;
         run->done += made;
+        if (!status) dal__guard_look(run);
         if (!status && is_due(run)) status = store(run);
         if (!status && run->journal) status = dal__journal_look(run, made);
     }
     motion->watch = NULL;
     if (!status && run->done == 0 && dal__run_is_over(run)) dal__events_no_steps(run);
     if (!status && dal__run_is_over(run)) status = dal__stepper_look(run->stepper);
-    if (!run->journal) return status;
-    const dal_error error = run->stepper->error;
-    const int kept = dal__journal_pause(run, status);
-    if (!status) return kept;
-    run->stepper->error = error;
+    status = pause_journal(run, status);
+    if (run->ended ? status == DAL_STOPPED : !status && dal__run_is_over(run))
+        dal__guard_check(run, budget);
     return status;
 }
 

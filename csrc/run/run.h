@@ -48,6 +48,14 @@ int dal__journal_begin(const dal_run *run);
 int dal__journal_look(const dal_run *run, size_t made);
 int dal__journal_pause(const dal_run *run, int status);
 
+/* An estimate of the error (guard.c): at the beginning of a run, or where it is taken up; after how
+ * many steps to look next; then; and when the steps are made, for so many of those made again: of
+ * which run->checks are left. */
+void dal__guard_begin(dal_run *run);
+size_t dal__guard_stop(const dal_run *run);
+void dal__guard_look(dal_run *run);
+void dal__guard_check(dal_run *run, size_t budget);
+
 /* The status of a function of the user that watches the run, by this name. */
 int dal__heed(const dal_run *run, const char *name, int returned);
 

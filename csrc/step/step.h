@@ -149,6 +149,62 @@ int dal__reversible_start(dal_stepper *stepper, double t, const double *x, dal__
 /* As dal__pace_step. */
 int dal__reversible_step(dal_stepper *stepper);
 
+/* Steps made again with another h, of the motion where it stands (remake.c). */
+typedef struct dal__remake {
+    dal__place here, there; /* of the motion; of the steps made again, between two calls */
+    dal_stats stats;        /* and the rest of the motion */
+    size_t calls[4], steps;
+    double undone;
+    double *input, *applied; /* [inputs] */
+    dal_watch_fn watch;
+    struct dal__guards guards; /* of the steps made again: the run does not see what these meet */
+    arena arena;
+} dal__remake;
+int dal__remake_make(dal_stepper *stepper, dal_error *error);
+/* Remembers the motion; as it was. */
+void dal__remake_begin(dal_stepper *stepper);
+void dal__remake_end(dal_stepper *stepper);
+/* Between the two: x[2n] at t, of steps of `from`, on with steps of h; so many of them, and whether
+ * they could be made. */
+void dal__remake_start(dal_stepper *stepper, double t, double from, const double *x, double h);
+bool dal__remake_steps(dal_stepper *stepper, size_t steps);
+/* Before an end, to resume after another beginning. */
+void dal__remake_pause(dal_stepper *stepper);
+void dal__remake_resume(dal_stepper *stepper);
+
+enum { DAL__MARKS = 16 };
+/* The estimate of the error of a run (run/guard.c).  Numbers of steps are those of the run. */
+typedef struct dal__guard {
+    const dal_run *run;      /* whose it is */
+    bool on, over;           /* there is an estimate; it is made */
+    bool checking;           /* the run is made again */
+    double ratio;            /* of the steps made again to h */
+    bool failed;             /* a window could not be made again */
+    double h, elapsed;
+    size_t begin, seen;      /* the first step; when sizes are looked at next */
+    double *low, *high;      /* [2n] */
+    bool open;               /* in a window, */
+    size_t window, next;     /* of so many steps; where it begins */
+    double window_t, *x;     /* [2n] the state there */
+    size_t covered;          /* where the last one ended */
+    double far_q, far_v;     /* the largest sizes there */
+    double *sum, *rate;      /* [2n] errors up to there; in a step of the last window */
+    double *error_of;        /* [2n] of the steps that were made again last */
+    size_t piece;            /* where the piece begins that may be made again, */
+    double piece_t, *from;   /* [2n] its state there; */
+    double *mark;            /* [DAL__MARKS][2n] states to compare with, */
+    size_t marks, apart;     /* so many, so many steps apart */
+    double worst;            /* error there of the steps that are made again */
+    double sum_of_most;      /* the sum at the last of the most marks */
+    size_t first, span, at;  /* steps made again: where they begin, how many, how many are done */
+    double t;
+    size_t remade;
+    bool whole;
+    double error;
+} dal__guard;
+/* There is none. */
+void dal__guard_forget(dal_stepper *stepper);
+
 struct dal_stepper {
     dal_motion motion;
     const dal_family *family;
@@ -166,6 +222,8 @@ struct dal_stepper {
     dal__pace pace;
     dal__scaling scaling;
     dal__reversible reversible;
+    dal__remake remake;
+    dal__guard guard;
     bool started;
     dal_error error;
     arena arena;

@@ -18,6 +18,10 @@ static int allocate(dal_stepper **stepper, const dal_system *system, const dal_s
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
     DAL__RESERVE(&memory, dal__times(2, n), &shape.motion.x, &shape.fresh);
+    dal__guard *const guard = &shape.guard;
+    DAL__RESERVE(&memory, dal__times(2, n), &guard->low, &guard->high, &guard->x, &guard->sum,
+                 &guard->rate, &guard->error_of, &guard->from);
+    DAL__RESERVE(&memory, dal__times(2 * DAL__MARKS, n), &guard->mark);
     DAL__RESERVE(&memory, system->def.m, &shape.motion.impulse);
     dal__rank_reserve(&shape.guards.rank, n, system->def.m, &memory);
     if (system->def.driven) DAL__RESERVE(&memory, system->def.inputs, &shape.applied);
@@ -66,6 +70,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
         status = options && options->eps != 0.0 ? dal__reversible_make(self, options, error)
                                                 : dal__pace_make(self, options, error);
     if (!status) status = dal__scaling_make(self, options, error);
+    if (!status) status = dal__remake_make(self, error);
     if (status) {
         dal_stepper_free(self);
         return status;
@@ -82,6 +87,7 @@ void dal_stepper_free(dal_stepper *stepper)
     if (stepper->method && stepper->family->free) stepper->family->free(stepper->method);
     dal__release(&stepper->vary.arena);
     dal__release(&stepper->scaling.arena);
+    dal__release(&stepper->remake.arena);
     arena memory = stepper->arena; /* the object lies inside it */
     dal__release(&memory);
 }
@@ -121,6 +127,9 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->jump = stepper->jump.change;
     stats->largest_kinetic = stepper->jump.kinetic;
     dal__guards_tell(&stepper->guards, stats);
+    stats->remade = stepper->guard.remade;
+    stats->whole = stepper->guard.whole;
+    stats->error = stepper->guard.error;
 }
 
 int dal_stepper_input(dal_stepper *stepper, const double *u)
@@ -342,11 +351,21 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     self->jump = jump;
     dal__rank_start(&self->guards.rank, self->mech.m);
     self->guards.creep = (dal__creep){0};
+    dal__guard_forget(self);
     self->scaling.energy = kept;
     self->started = true;
     dal__fail(&self->error, DAL_SUCCESS, "%s", "");
     if (self->family->start) self->family->start(self->method, motion);
     return DAL_SUCCESS;
+}
+
+void dal__guard_forget(dal_stepper *stepper)
+{
+    dal__guard *const guard = &stepper->guard;
+    guard->run = NULL;
+    guard->on = guard->whole = false;
+    guard->remade = 0;
+    guard->error = 0.0;
 }
 
 /* ---- steps ------------------------------------------------------------------------------ */

@@ -65,6 +65,8 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     run.add_argument("--initial", choices=list(INITIAL), help="how kept nodes start")
     run.add_argument("--energy", choices=["keep"],
                      help="keep: to roundoff, in twice the time")
+    run.add_argument("--no-check-h", dest="check_h", action="store_false", default=None,
+                     help="do not estimate whether the step is too large")
     run.add_argument("--journal", type=Path, metavar="FILE",
                      help="a new file, for `dalembert resume` and `dalembert info`")
     goes_on = commands.add_parser(
@@ -201,7 +203,7 @@ def _run(given: argparse.Namespace) -> int:
         steps=given.steps, t0=given.t0, stride=given.stride, tolerance=given.tolerance,
         h_max=given.h_max, eps=given.eps,
         consistent=given.consistent, initial=given.initial,
-        energy=given.energy,
+        energy=given.energy, check_h=given.check_h,
         journal=given.journal, journal_errors=given.journal_errors, progress=progress(),
     ), given.journal)  # fmt: skip
 

@@ -262,6 +262,15 @@ def choice(value: Any, name: str, choices: dict[str, int]) -> int:
     return choices[value]
 
 
+def truth(value: Any, name: str, default: bool) -> bool:
+    """Return a truth value, or the default for None; ValueError otherwise."""
+    if value is None:
+        return default
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} = {shown(value)}: expected True or False")
+    return bool(value)
+
+
 def suggestion(value: Any, names: Iterable[str]) -> str:
     """Return "did you mean ...? " with the one of the names that is close to ``value``, or ""."""
     plain = {name.replace("-", "_").lower(): name for name in names}

@@ -14,7 +14,7 @@ from . import arguments
 
 # Whether a bar is wanted, or a function of what is done and of all.
 Progress = bool | Callable[[Any, Any], Any]
-Show = Callable[[Any], Any]
+Show = Callable[..., Any]  # of how much is done; of how much there is, where that has grown
 
 
 # Packages on PyPI whose name is not that of their module.
@@ -75,7 +75,7 @@ def progress(
     """
     if callable(wanted):
         show = wanted
-        return contextlib.nullcontext(lambda done: show(done, total))
+        return contextlib.nullcontext(lambda done, most=total: show(done, most))
     if not isinstance(wanted, bool):
         raise ValueError(
             f"progress = {arguments.shown(wanted)}: expected True, False or a function"
@@ -83,7 +83,7 @@ def progress(
     return _bar(total, unit) if wanted else _SILENCE
 
 
-_SILENCE = contextlib.nullcontext(lambda done: None)
+_SILENCE = contextlib.nullcontext(lambda done, most=0.0: None)
 
 
 @contextlib.contextmanager
@@ -92,4 +92,9 @@ def _bar(total: float, unit: str) -> Iterator[Show]:
         warnings.filterwarnings("ignore", "IProgress not found")
         tqdm = require("tqdm.auto", "progress=True").tqdm
     with tqdm(total=total, unit=unit, unit_scale=True) as bar:
-        yield lambda done: bar.update(done - bar.n)
+
+        def show(done: float, most: float = total) -> None:
+            bar.total = most
+            bar.update(done - bar.n)
+
+        yield show

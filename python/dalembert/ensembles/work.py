@@ -367,7 +367,9 @@ def _keep(
     with quietly() as found:
         try:
             stride = setting.stride or max(1, int(rows["steps"][k % len(rows["steps"])]))
-            run = one(setting, rows, k, stride=stride, throw=False, progress=progress)
+            run = one(
+                setting, rows, k, stride=stride, throw=False, progress=progress, check_h=False
+            )
         except Exception as error:
             if isinstance(partial := getattr(error, "partial", None), Solution):
                 _count(setting, made, k, partial)  # a function of the user has raised

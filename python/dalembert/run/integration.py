@@ -68,6 +68,7 @@ def integrate(
     t_eval: ArrayLike | None = None,
     journal: str | os.PathLike[str] | None = None,
     journal_errors: str | None = None,
+    check_h: bool | None = None,
 ) -> Solution:
     """Integrate a system, with steps of one size or of controlled error.
 
@@ -113,7 +114,8 @@ def integrate(
         ``observer(step, t, q, v)`` is called at every stride-th state; true stops the run.
     progress : bool or callable, optional
         True: a bar of tqdm.  A function is called as ``progress(done, total)``, some times a
-        second, with numbers of steps; where h is a word with times that have passed.
+        second, with numbers of steps; where h is a word with times that have passed.  While h is
+        checked the total grows by the steps that are made again.
     throw : bool, optional
         False: a step that fails ends the run, and the Solution says so, instead of an exception.
     max_iterations : int, optional
@@ -163,6 +165,10 @@ def integrate(
     journal_errors : {"warn", "stop"}, optional
         What a full disk, or a file that vanishes, does: the run goes on without the journal, which
         is the default, or ends with a `JournalError`.
+    check_h : bool, optional
+        True, which is the default for steps of one size: the error of the last state is estimated,
+        and a warning says if h is too large.  False is for statistics of a chaotic motion, whose
+        error is always large.
 
     Returns
     -------
@@ -192,8 +198,8 @@ def integrate(
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: q0, or the end of the run, is off a position constraint; the
-        energy has jumped where nothing does work, or was not
+        If the result may be doubtful: q0, or the end of the run, is off a position constraint; h is
+        too large; the energy has jumped where nothing does work, or was not
         kept where it was to be, or many steps
         took the full Newton iteration, so that h is large for this system, or its constraints are
         nearly dependent; or if it cannot be told whether an event happens; or if the journal could
@@ -220,6 +226,7 @@ def integrate(
         observer=observer, max_iterations=max_iterations, energy=energy, method=method,
         tolerance=tolerance, h_max=h_max, eps=eps, inputs=inputs, hold=hold, events=events,
         t_eval=t_eval, journal=journal, journal_errors=journal_errors,
+        check_h=check_h or None,  # what is not checked anyway need not be
     )  # fmt: skip
     sizes = Steps.of(h, t0, t_end, steps, tolerance, h_max, eps).by(record)
     varies = sizes.varies
@@ -230,6 +237,7 @@ def integrate(
             f"{sizes.count - sizes.count % stride} or {sizes.count - sizes.count % stride + stride}"
         )
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
+    check_h = arguments.truth(check_h, "check_h", True)
     start = record._initial(initial)
     options = options_of(sizes.control, max_iterations, energy)
     chosen = record if varies else with_method(record, method, tolerance)
@@ -266,6 +274,7 @@ def integrate(
         begin, progress, throw, system, chosen if of_series else record, stepper, steps=sizes,
         stride=stride, observer=observer, inputs=inputs, hold=hold, first=first,
         watch=Watch.of(system, stepper, starter, listed, times),
+        check_h=check_h,
     )  # fmt: skip
     idle.append(stepper)
     return solution
@@ -284,6 +293,7 @@ def resume(
     inputs: Any = None,
     events: Any = (),
     journal_errors: str | None = None,
+    check_h: bool | None = None,
 ) -> Solution:
     """Go on with a run from its journal: bit for bit the run that was never stopped.
 
@@ -300,7 +310,7 @@ def resume(
         End of the whole run, or its number of steps, if it is to be another one.
     scheme : Scheme, optional
         That of the run; needed if it is no scheme of the library.
-    observer, progress, throw, inputs, events, journal_errors : optional
+    observer, progress, throw, inputs, events, journal_errors, check_h : optional
         As of `integrate`; inputs and events of the whole run, if it has any; the expressions of
         inputs have to be the same.
 
@@ -341,7 +351,11 @@ def resume(
     about, stride = journal.about, int(journal.info.stride)
     system, record = journal.system(system), journal.scheme(scheme)
     arguments.function(observer, "observer", "step, t, q, v")
-    require(kind_of(record, about["control"].get("h")), steps=steps, inputs=inputs, events=events)
+    require(
+        kind_of(record, about["control"].get("h")), steps=steps, inputs=inputs, events=events,
+        check_h=check_h or None,
+    )  # fmt: skip
+    check_h = arguments.truth(check_h, "check_h", True)
     sizes = journal.steps(t_end, steps)
     if not sizes.varies and sizes.count % stride:
         raise ValueError(f"steps = {sizes.count}: expected a multiple of stride = {stride}")
@@ -358,6 +372,7 @@ def resume(
         journal.resume, progress, throw, system, record, stepper, steps=sizes, stride=stride,
         observer=observer, inputs=inputs, hold=about["hold"],
         watch=Watch.of(system, stepper, record, listed, times),
+        check_h=check_h,
     )  # fmt: skip
 
 
@@ -485,6 +500,9 @@ def _warn_of_drift(solution: Solution) -> None:
         )
 
 
+LARGE_ERROR = 0.06  # of the last state, relative to its size
+
+
 def _at(solution: Any) -> str:
     """Return when the step was after which the energy had jumped, where it is known."""
     if solution.control:
@@ -519,7 +537,18 @@ def doubts(solution: Any) -> Iterator[str]:
             f"the constraint is kept to {stats.worst_residual:.1e} only, not to {bound:.1e}: the "
             "kept nodes lie so far out that their rounding moves it by more"
         )
-    if stats.jump_step:
+    if stats.whole and stats.error > LARGE_ERROR:
+        how = solution._how
+        size = f"about {100 * stats.error:.0f} % of its size"
+        about = size if stats.error < 1.0 else "larger than its size"
+        yield (
+            f"h may be too large ({how}): steps of h / 2, which would show it, cannot be made"
+            if np.isinf(stats.error)
+            else f"h is too large ({how}): the error of the last state is {about}, as stats.error "
+            "says. Try h / 2. For statistics of a chaotic motion, whose error is always large, "
+            "turn this estimate off by check_h=False"
+        )
+    elif stats.jump_step:
         changed = "would have changed" if stats.scaled else "has changed"
         yield (
             f"the energy {changed} by {stats.jump:.3g} at step {stats.jump_step}"

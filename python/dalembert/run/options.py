@@ -25,8 +25,8 @@ _ALL = ("t0", "t_end", "stride", "consistent", "observer", "progress", "throw", 
 _RUN = "max_iterations events journal journal_errors"
 
 KINDS = {
-    "fixed": _kind("a number for h at moved nodes", f"steps energy inputs hold {_RUN}"),
-    "kept": _kind("a number for h at kept nodes", f"steps initial inputs hold {_RUN}"),
+    "fixed": _kind("a number for h at moved nodes", f"steps energy inputs hold check_h {_RUN}"),
+    "kept": _kind("a number for h at kept nodes", f"steps initial inputs hold check_h {_RUN}"),
     "auto": _kind("h = 'auto'", f"tolerance h_max inputs hold {_RUN}"),
     "reversible": _kind("h = 'reversible'", f"eps {_RUN}"),
     "flow": _kind(

@@ -112,11 +112,13 @@ class Run:
         hold: float = 1,
         watch: Watch | None = None,
         first: Array | None = None,
+        check_h: bool = True,
     ) -> None:
         self.timed = watch is not None and watch.times is not None
         self.system, self.scheme, self.stepper, self.steps = system, scheme, stepper, steps
         self.t0, self.h = steps.t0, steps.h
         self.show, self.shown_at = show, -np.inf
+        self.checks = self.left = 0  # steps that check h: all that are known of, those to be made
         self.watch, self.hold = watch, hold
         self.journal: Any = None
         self.varies = steps.varies
@@ -131,6 +133,7 @@ class Run:
             run.hold = int(hold)
         self.watching = ffi.new_handle(_within(show, steps))
         run.watch, run.watch_ctx = lib.dal_py_watch, self.watching
+        run.unchecked = not check_h
         rows = _FIRST_ROWS if self.varies else steps.count // stride + 1
         self._allocate(1 if self.timed else rows)
         ffi.memmove(self.x, lib.dal_stepper_state(stepper), 16 * system.n)
@@ -203,13 +206,15 @@ class Run:
                     self.make_room(int(run.stored) + piece // int(run.stride) + 3)
                 began = time.perf_counter()
                 self.status = core.attempt(lib.dal_run_go, run, piece)
+                if self.status >= 0 and isinstance(raised.exception, KeyboardInterrupt):
+                    raise raised.exception  # within steps that are made again, which may fail
                 elapsed = time.perf_counter() - began
                 over = self.is_over
                 if over or began + elapsed - self.shown_at > PIECE_SECONDS:
                     self.tell(began + elapsed)
                 if self.journal is not None:
                     self.journal.tell()
-                if self.status != lib.DAL_SUCCESS or over:
+                if (self.status != lib.DAL_SUCCESS or over) and not run.checks:
                     break
                 piece = max(1, int(piece * min(8.0, PIECE_SECONDS / max(elapsed, 1e-9))))
         except BaseException as error:  # KeyboardInterrupt too: what was computed goes with it
@@ -250,8 +255,14 @@ class Run:
 
     def tell(self, now: float) -> None:
         """Show the progress."""
-        self.shown_at, done = now, int(self.run.done)
-        self.show(abs(lib.dal_stepper_time(self.stepper) - self.t0) if self.varies else done)
+        self.shown_at, done, left = now, int(self.run.done), int(self.run.checks)
+        if left > self.left:  # they begin again, with another step
+            self.checks += left - self.left
+        self.left = left
+        if self.checks:
+            self.show(done + self.checks - left, done + self.checks)
+        else:
+            self.show(abs(lib.dal_stepper_time(self.stepper) - self.t0) if self.varies else done)
 
     def _at_times(self) -> tuple[Array, Array]:
         """Return the states at output times, and where an event has ended the run.

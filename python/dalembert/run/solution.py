@@ -71,6 +71,15 @@ class Statistics:
     least_step, least_step_t : float
         Shortest step of steps that choose their size, relative to the mean of the steps before it,
         and its time. 1 for steps of one size.
+    error : float
+        About how large the error of the last state is, relative to its size: of each q the way that
+        it has gone, of each v its largest value.  0: there is no estimate.  inf: steps of h / 2
+        cannot be made, and there is reason to doubt those of h.
+    remade : int
+        Steps of another size that were made beside those of the run, for this estimate.
+    whole : int
+        1: the whole run was made again, or its first 131072 steps, or what follows its last reset.
+        0: samples of it were, and their errors are added up, which is mostly more than the error.
     """
 
     steps: int = 0
@@ -91,6 +100,9 @@ class Statistics:
     jump_step: int = 0
     jump: float = 0.0
     largest_kinetic: float = 0.0
+    error: float = field(default=0.0, compare=False)  # after a restart it is that of the rest
+    remade: int = field(default=0, compare=False)
+    whole: int = field(default=0, compare=False)
     rejected: int = 0
     scaled: int = 0
     unscaled: int = 0
@@ -614,6 +626,11 @@ class Solution(Mapping[str, Any]):
         known = not np.isnan(self.stats.worst_residual)  # that of a journal is not
         if known and not self.scheme.is_reference and self.system.m > 0:
             lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
+        if np.isinf(self.stats.error):
+            lines.append("  error of the last state: unknown, h / 2 cannot be tried")
+        elif self.stats.error:
+            about = "about" if self.stats.whole else "at most about"
+            lines.append(f"  error of the last state: {about} {self.stats.error:.0e} of its size")
         if self.stats.scaled or self.stats.unscaled:
             lost = f", but for {self.stats.unscaled} of {self.stats.steps} steps"
             lines.append(f"  energy kept{lost if self.stats.unscaled else ''}")

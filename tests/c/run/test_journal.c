@@ -224,6 +224,7 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
             o->inputs[k * WIDTH + i] = sin(1.0 + (double)(k * WIDTH + i));
     }
     o->run = (dal_run){.stepper = o->stepper, .steps = p->steps, .stride = p->stride,
+                       .unchecked = 1, /* an estimate is that of the steps since a restart */
                        .hold = p->hold, .x = p->timed ? NULL : o->x,
                        .reactions = p->timed ? NULL : o->reactions,
                        .inputs = p->table || p->controlled ? o->inputs : NULL,

@@ -698,6 +698,46 @@ static void test_jumps(void)
     CHECK(climb(behind, "midpoint-nodes", 0, 1.0, 64).jump_step == 64);
 }
 
+static int on_spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    (void)t, (void)ctx;
+    if (V) *V = 0.5 * (q[0] * q[0] + q[1] * q[1]);
+    if (V_q) memcpy(V_q, q, 2 * sizeof *q);
+    if (V_qq) V_qq[0] = V_qq[3] = 1.0, V_qq[1] = V_qq[2] = 0.0;
+    return 0;
+}
+
+/* q = cos t, v = -sin t: the estimate of the error, which a run makes unless it is told not to. */
+static void test_error(void)
+{
+    enum { LONG = 200 };
+    static const double masses[2] = {1.0, 1.0}, x[4] = {1.0, 0.0, 0.0, 0.0}, h = 0.3;
+    const dal_system_def def = {.n = 2, .m = 1, .constraint = in_line, .masses = masses,
+                                .potential = on_spring};
+    const dal_scheme scheme = find_scheme("leapfrog");
+    dal_system *system = NULL;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "spring", error.text);
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stats stats;
+    for (int unchecked = 0; unchecked <= 1; unchecked++) {
+        dal_run run = {.stepper = stepper, .steps = LONG, .stride = LONG, .unchecked = unchecked};
+        need(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE), "spring", "");
+        int status = DAL_SUCCESS;
+        do status = dal_run_go(&run, 7); /* pieces: the checks too */
+        while (!status && (run.done < run.steps || run.checks > 0));
+        CHECK(status == DAL_SUCCESS && run.done == LONG);
+        dal_stepper_stats(stepper, &stats);
+        const double *const end = dal_stepper_state(stepper);
+        const double by = fmax(fabs(end[0] - cos(LONG * h)) / 2.0, fabs(end[2] + sin(LONG * h)));
+        CHECK(by > 0.1 && stats.steps == LONG);
+        if (!unchecked) CHECK(stats.whole == 1 && fabs(stats.error / by - 1.0) < 0.35);
+        else CHECK(stats.whole == 0 && stats.error == 0.0 && stats.remade == 0);
+    }
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
 int main(void)
 {
     for (size_t stride = 1; stride <= STEPS; stride++)
@@ -718,6 +758,7 @@ int main(void)
     test_arguments();
     test_failure();
     test_infinite_energy();
+    test_error();
     test_jumps();
     return check_done();
 }

@@ -50,6 +50,7 @@ def values(option, folder):
         "consistent": "project", "initial": "shift", "max_iterations": 1, "energy": "keep",
         "method": "msadams", "tolerance": 1e-4, "h_max": 0.01, "eps": 0.1,
         "inputs": [3.0], "hold": 2, "journal_errors": "stop", "throw": False,
+        "check_h": True,
         "events": [lambda t, q, v: q[0] - 0.5], "journal": folder / "run.dal",
         "observer": lambda step, t, q, v: seen.append(t),
         "progress": lambda done, total: seen.append(done),
@@ -112,6 +113,12 @@ def test_each_option_has_an_effect_or_is_refused(kind, option, tmp_path):
         without["journal"] = tmp_path / "other.dal"
         assert made(system, with_it)[:2] == made(system, without)[:2]
         assert made(system, {**with_it, option: "sotp"})[0] == "ValueError"
+    elif option == "check_h":
+        without |= {option: False}
+        assert made(system, with_it) == made(system, without)
+        assert dal.integrate(system, **with_it).stats.remade > 0
+        assert dal.integrate(system, **without).stats.remade == 0
+        assert made(system, {**with_it, option: "no"})[0] == "ValueError"
     elif option == "journal":
         dal.integrate(system, **with_it)
         assert value.stat().st_size > 0

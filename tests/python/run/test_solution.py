@@ -164,6 +164,7 @@ def test_what_a_run_says_of_itself(own):
         "<Solution of own by midpoint, h = 0.05: success",
         "  11 states at t = 1 .. 3, every 4 steps",
         f"  worst residual of D: {run.stats.worst_residual:.1e}",
+        f"  error of the last state: about {run.stats.error:.0e} of its size",
         "  40 steps to t = 3>",
     ]
 

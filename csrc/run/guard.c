@@ -1,0 +1,394 @@
+/* Whether h is too large: an estimate of the error of the state at the end of a run.
+ *
+ * Steps are made again from a state of the run with another size r h.  For order p the two states
+ * at the end differ by |r^p - 1| times the error of the steps of h.
+ *
+ * 1. In a run of SHORT steps or more these are samples, windows of some dozens of steps, r = 2.
+ *    Their errors, interpolated between them, are added up, as if none grew or died out.  A sum of
+ *    at most SUSPECTED is the estimate, unless the state is now GROWN times as large as it was.
+ * 2. Else, and in shorter runs, the whole run is made again, or its first MOST steps, first with
+ *    the r = 8, 4, 2 at which an error of CLEAR would be a difference of about a sixth.  A smaller
+ *    error is the estimate.
+ * 3. Else r is halved, as far as 1/2: long steps may be too long to tell, or unstable where those
+ *    of h are not.  What r = 1/2 says is the estimate, or r = 2 where those cannot be made.
+ *
+ * Where nothing does work a change of the energy by more than CHANGED of the largest kinetic energy
+ * leads to 2 as well.  If steps of h/2 cannot be made either the error is INFINITY.
+ *
+ * Inputs may change from step to step, and r > 1 is not for them: windows take h/2, then comes 3.
+ * No step leaves a trace elsewhere than here: see remake.c. */
+#include "run/events.h"
+#include "run/run.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    SHORT = 1000,  /* a run of fewer steps is made again */
+    LEAST = 6,     /* one of fewer is not */
+    FOLD = 8,      /* steps in the longest of those made again, and between the first marks */
+    MOST = 8192 * DAL__MARKS, /* steps that are made again in one piece; 2^k FOLD DAL__MARKS */
+    WINDOW = 24,   /* steps of a window near the start; they grow as the root of the steps made */
+    APART = 24,    /* from one window to the next, in windows: 2.8 % of the steps are made more */
+    APART_HALVED = 60,
+    LOOKS = 16,    /* at sizes, while the number of steps grows by a factor e */
+};
+static const double SUSPECTED = 0.002, CHANGED = 0.04;
+static const double CLEAR = 0.01, NEAR = 0.15; /* the error; the difference that shows it */
+static const double GROWN = 10.0;      /* a motion that has left its size since the last window */
+static const double SMALL = 1e-3;      /* a size is at least this part of the largest of its kind */
+static const double RESOLUTION = 1e-9; /* and of the coordinates themselves */
+
+/* ---- sizes ------------------------------------------------------------------------------ */
+
+static void see(dal__guard *g, size_t n, const double *x)
+{
+    for (size_t i = 0; i < 2 * n; i++) {
+        g->low[i] = fmin(g->low[i], x[i]);
+        g->high[i] = fmax(g->high[i], x[i]);
+    }
+}
+
+/* The size of number i of a state: of q the way it has gone, of v the largest. */
+static double size_of(const dal__guard *g, size_t n, size_t i)
+{
+    return i < n ? g->high[i] - g->low[i] : fmax(fabs(g->low[i]), fabs(g->high[i]));
+}
+
+/* The largest of the q, or of the v. */
+static double largest(const dal__guard *g, size_t n, size_t begin)
+{
+    double found = 0.0;
+    for (size_t i = begin; i < begin + n; i++) found = fmax(found, size_of(g, n, i));
+    return found;
+}
+
+/* The largest of d[2n], each in units of its size. */
+static double measure(const dal__guard *g, size_t n, const double *d)
+{
+    double far = 0.0, found = 0.0;
+    for (size_t i = 0; i < n; i++) far = fmax(far, fmax(fabs(g->low[i]), fabs(g->high[i])));
+    for (size_t begin = 0; begin < 2 * n; begin += n) {
+        const double resolved = begin == 0 ? RESOLUTION * far : RESOLUTION * far / g->elapsed;
+        const double least = fmax(resolved, SMALL * largest(g, n, begin));
+        for (size_t i = begin; i < begin + n; i++) {
+            const double part = fabs(d[i]) / fmax(size_of(g, n, i), least);
+            if (d[i] != 0.0 && !(part <= found)) found = isnan(part) ? (double)INFINITY : part;
+        }
+    }
+    return found;
+}
+
+/* ---- steps that are made again ----------------------------------------------------------- */
+
+/* From x at t, for steps number `first` of the run on, `span` of them. */
+static void start(dal_run *run, double t, const double *x, size_t first, size_t span)
+{
+    dal__guard *const g = &run->stepper->guard;
+    g->t = t;
+    g->first = first;
+    g->span = span;
+    g->at = 0;
+    g->worst = 0.0;
+    dal__remake_start(run->stepper, t, g->h, x, g->ratio * g->h);
+}
+
+/* Kept nodes are compared where they were moved to, and have the order that they have there. */
+static int order_of(const dal_stepper *stepper)
+{
+    const dal_scheme *const scheme = &stepper->scheme;
+    return scheme->nodes == DAL_KEPT_NODES && scheme->beta == 0.5 ? 2 : scheme->order;
+}
+
+/* The difference of the two, by the error. */
+static double scale(const dal_run *run)
+{
+    return fabs(pow(run->stepper->guard.ratio, order_of(run->stepper)) - 1.0);
+}
+
+/* d[2n] <- the error of the state x, after all of these steps. */
+static void compare(const dal_run *run, const double *x, double *d)
+{
+    const dal_stepper *const stepper = run->stepper;
+    const dal__guard *const g = &stepper->guard;
+    const double by = scale(run);
+    const size_t n = stepper->mech.n;
+    const double back = stepper->shift * (g->h - stepper->motion.h); /* of kept nodes */
+    for (size_t i = 0; i < 2 * n; i++) d[i] = (stepper->motion.x[i] - x[i]) / by;
+    if (back != 0.0) dal__add(n, back / by, stepper->motion.x + n, d);
+}
+
+/* For at most so many steps of the run; false if they cannot be made. */
+static bool go(dal_run *run, size_t budget)
+{
+    dal_stepper *const stepper = run->stepper;
+    dal__guard *const g = &stepper->guard;
+    const size_t width = run->inputs ? stepper->motion.system->def.inputs : 0;
+    const size_t fold = g->ratio > 1.0 ? (size_t)g->ratio : 1; /* steps of the run in one */
+    while (g->at < g->span && budget > 0) {
+        const size_t left = g->span - g->at, ahead = g->apart - g->at % g->apart;
+        size_t some = left < budget ? left : budget, steps;
+        if (some > ahead) some = ahead;
+        if (g->ratio < 1.0) {
+            if (run->inputs) {
+                some = 1;
+                dal__copy(width, run->inputs + (g->first + g->at) / dal__hold(run) * width,
+                          stepper->mech.eval.own_input);
+            }
+            steps = 2 * some;
+        } else if (left >= fold) {
+            steps = some > fold ? some / fold : 1;
+            some = steps * fold;
+        } else { /* the last steps are those of the run */
+            if (stepper->motion.h != g->h)
+                dal__remake_start(stepper, g->t + (double)g->at * g->h, g->ratio * g->h,
+                                  stepper->motion.x, g->h);
+            steps = some;
+        }
+        if (!dal__remake_steps(stepper, steps)) return false;
+        g->remade += steps;
+        g->at += some;
+        budget -= some < budget ? some : budget;
+        if (g->checking && some == ahead && g->at <= g->marks * g->apart) {
+            compare(run, g->mark + 2 * stepper->mech.n * (g->at / g->apart - 1), g->error_of);
+            g->worst = fmax(g->worst, measure(g, stepper->mech.n, g->error_of));
+        }
+    }
+    return true;
+}
+
+/* ---- windows ---------------------------------------------------------------------------- */
+
+static size_t window_at(size_t step)
+{
+    return (size_t)(WINDOW / 2 * sqrt(1.0 + (double)step / SHORT)) * 2;
+}
+
+static void plan_window(const dal_run *run)
+{
+    dal__guard *const g = &run->stepper->guard;
+    g->open = false;
+    g->window = window_at(run->done - g->begin);
+    g->next = run->done + (run->inputs ? APART_HALVED - 1 : APART - 1) * g->window;
+}
+
+static void add_window(dal_run *run)
+{
+    dal_stepper *const stepper = run->stepper;
+    dal__guard *const g = &stepper->guard;
+    const size_t N = 2 * stepper->mech.n;
+    dal__remake_begin(stepper);
+    start(run, g->window_t, g->x, run->done - g->window, g->window);
+    const bool made = go(run, SIZE_MAX);
+    const double window = (double)g->window, between = (double)(g->next - g->covered);
+    if (made) compare(run, stepper->remake.here.x, g->error_of);
+    dal__remake_end(stepper);
+    g->failed = g->failed || !made;
+    for (size_t i = 0; made && i < N; i++) {
+        const double error = fabs(g->error_of[i]), rate = error / window;
+        g->sum[i] += error + 0.5 * between * (rate + g->rate[i]);
+        g->rate[i] = rate;
+        if (!isfinite(g->sum[i])) g->failed = true;
+    }
+    see(g, stepper->mech.n, stepper->motion.x);
+    g->far_q = largest(g, stepper->mech.n, 0);
+    g->far_v = largest(g, stepper->mech.n, stepper->mech.n);
+    g->covered = run->done;
+    plan_window(run);
+}
+
+/* ---- the run ---------------------------------------------------------------------------- */
+
+/* From the state now on the steps may be made again in one piece. */
+static void begin_piece(const dal_run *run)
+{
+    dal_stepper *const stepper = run->stepper;
+    dal__guard *const g = &stepper->guard;
+    memcpy(g->from, stepper->motion.x, 2 * stepper->mech.n * sizeof *g->from);
+    g->piece = run->done;
+    g->piece_t = dal_stepper_time(stepper);
+    g->marks = 0;
+    g->apart = FOLD;
+}
+
+/* Where it is. */
+static size_t next_mark(const dal__guard *g)
+{
+    return g->marks * g->apart == MOST ? SIZE_MAX : g->piece + (g->marks + 1) * g->apart;
+}
+
+/* One more state of the piece to compare with; where there is no room every second one goes. */
+static void set_mark(const dal_run *run)
+{
+    dal__guard *const g = &run->stepper->guard;
+    const size_t N = 2 * run->stepper->mech.n;
+    if (g->marks == DAL__MARKS) {
+        for (size_t k = 0; 2 * k < DAL__MARKS; k++)
+            memmove(g->mark + k * N, g->mark + (2 * k + 1) * N, N * sizeof *g->mark);
+        g->marks /= 2;
+        g->apart *= 2;
+    }
+    if (run->done < next_mark(g)) return;
+    memcpy(g->mark + g->marks++ * N, run->stepper->motion.x, N * sizeof *g->mark);
+    if (run->done - g->piece == MOST) g->sum_of_most = measure(g, run->stepper->mech.n, g->sum);
+}
+
+void dal__guard_begin(dal_run *run)
+{
+    dal_stepper *const stepper = run->stepper;
+    const dal_scheme *const scheme = &stepper->scheme;
+    dal__guard *const g = &stepper->guard;
+    const size_t N = 2 * stepper->mech.n;
+    if (g->run == run && (run->done > 0 || run->stored > 0)) return;
+    g->run = run;
+    run->checks = 0;
+    g->on = !run->unchecked && !dal__run_varies(run) && scheme->order > 0
+         && dal_stepper_saved(stepper) > 0;
+    g->h = stepper->motion.h;
+    g->begin = g->covered = g->seen = run->done;
+    g->remade = 0;
+    g->whole = g->over = g->checking = g->failed = false;
+    g->ratio = run->inputs ? 0.5 : 2.0;
+    g->error = 0.0;
+    memcpy(g->low, stepper->motion.x, N * sizeof *g->low);
+    memcpy(g->high, stepper->motion.x, N * sizeof *g->high);
+    dal__clear(N, g->sum);
+    dal__clear(N, g->rate);
+    begin_piece(run);
+    g->open = false;
+    g->window = WINDOW;
+    g->next = SIZE_MAX;
+    if (run->steps - run->done < SHORT) return;
+    g->next = run->done;
+    dal__guard_look(run);
+}
+
+size_t dal__guard_stop(const dal_run *run)
+{
+    const dal__guard *const g = &run->stepper->guard;
+    const size_t window = g->open ? g->next + g->window : g->next, mark = next_mark(g);
+    size_t stop = g->seen < window ? g->seen : window;
+    if (!g->on) return SIZE_MAX;
+    if (mark < stop) stop = mark;
+    return stop > run->done ? stop - run->done : 1;
+}
+
+void dal__guard_look(dal_run *run)
+{
+    dal_stepper *const stepper = run->stepper;
+    dal__guard *const g = &stepper->guard;
+    const size_t N = 2 * stepper->mech.n, here = run->done;
+    const double *const x = stepper->motion.x;
+    if (!g->on) return;
+    g->elapsed = fabs((double)(here - g->begin) * g->h);
+    if (here >= g->seen) {
+        see(g, stepper->mech.n, x);
+        const size_t apart = (g->next < SIZE_MAX ? 8 : 1) + (here - g->begin) / LOOKS;
+        const size_t left = run->steps > here ? run->steps - here : 0;
+        g->seen = here + (left < 2 * LOOKS && apart > 2 ? 2 : apart); /* a motion may grow */
+    }
+    if (run->events && run->events->landed) { /* the steps before lead elsewhere */
+        begin_piece(run);
+        if (g->open) plan_window(run);
+    }
+    if (here == next_mark(g)) set_mark(run);
+    if (g->open && here == g->next + g->window) add_window(run);
+    else if (!g->open && here >= g->next) {
+        g->open = true;
+        g->next = here;
+        g->window_t = dal_stepper_time(stepper);
+        memcpy(g->x, x, N * sizeof *g->x);
+    }
+}
+
+/* The change of the energy, as part of the largest kinetic energy; 0 where work is done. */
+static double change_of_energy(const dal_run *run)
+{
+    dal_stepper *const stepper = run->stepper;
+    const dal__jump *const jump = &stepper->jump;
+    double before = 0.0, after = 0.0;
+    if (!jump->looking || !(jump->kinetic > 0.0)) return 0.0;
+    dal__remake_begin(stepper); /* for its counters */
+    int status = dal__energy(&stepper->mech, 0.0, stepper->guard.from, &before);
+    if (!status) status = dal__energy(&stepper->mech, 0.0, stepper->motion.x, &after);
+    dal__remake_end(stepper);
+    return status ? 0.0 : fabs(after - before) / jump->kinetic;
+}
+
+/* Whether the run is to be made again; the estimate by samples is known then. */
+static bool is_suspect(const dal_run *run)
+{
+    dal_stepper *const stepper = run->stepper;
+    dal__guard *const g = &stepper->guard;
+    const size_t N = 2 * stepper->mech.n, steps = run->done - g->begin;
+    see(g, stepper->mech.n, stepper->motion.x);
+    for (size_t i = 0; i < N; i++) g->sum[i] += g->rate[i] * (double)(run->done - g->covered);
+    g->error = measure(g, stepper->mech.n, g->sum);
+    const bool grown = largest(g, stepper->mech.n, 0) > GROWN * g->far_q
+                    || largest(g, stepper->mech.n, stepper->mech.n) > GROWN * g->far_v;
+    return steps < SHORT || g->failed || grown || !(g->error <= SUSPECTED)
+        || change_of_energy(run) > CHANGED;
+}
+
+/* The whole piece is made again: its error, and whether that is the estimate. */
+static bool conclude(const dal_run *run, const double *x)
+{
+    dal_stepper *const stepper = run->stepper;
+    dal__guard *const g = &stepper->guard;
+    const size_t n = stepper->mech.n;
+    const bool part = g->span < run->done - g->piece;
+    const double more = part ? measure(g, n, g->sum) / g->sum_of_most : 1.0;
+    compare(run, x, g->error_of);
+    g->error = measure(g, n, g->error_of);
+    const double clear = fmin(CLEAR, NEAR / scale(run));
+    const bool told = g->ratio < 1.0 || fmax(g->worst, g->error) <= clear;
+    if (isfinite(more)) g->error *= more;
+    g->whole = true;
+    return told;
+}
+
+/* The r of the first steps that are made again; the next of them. */
+static double first_ratio(const dal_run *run)
+{
+    const int p = order_of(run->stepper);
+    return run->inputs ? 0.5 : p == 1 ? 8.0 : p == 2 ? 4.0 : 2.0;
+}
+
+static double next_ratio(double ratio) { return ratio > 2.0 ? 0.5 * ratio : 0.5; }
+
+void dal__guard_check(dal_run *run, size_t budget)
+{
+    dal_stepper *const stepper = run->stepper;
+    dal__guard *const g = &stepper->guard;
+    const size_t steps = run->done - g->piece, span = steps < MOST ? steps : MOST;
+    if (!g->on || g->over) return;
+    if (!g->checking && (!is_suspect(run) || steps < LEAST)) {
+        g->over = true;
+        return;
+    }
+    dal__remake_begin(stepper);
+    if (g->checking) {
+        dal__remake_resume(stepper);
+    } else {
+        g->ratio = first_ratio(run);
+        start(run, g->piece_t, g->from, g->piece, span);
+    }
+    g->checking = true;
+    while (!g->over) {
+        bool made = go(run, budget);
+        if (made && g->at < span) break;
+        made = made && conclude(run, span < steps ? g->mark + (g->marks - 1) * 2 * stepper->mech.n
+                                               : stepper->remake.here.x);
+        g->over = made || g->ratio < 1.0;
+        if (g->over) break;
+        g->ratio = next_ratio(g->ratio);
+        start(run, g->piece_t, g->from, g->piece, span);
+        if (budget < SIZE_MAX) break;
+    }
+    if (!g->over) dal__remake_pause(stepper);
+    dal__remake_end(stepper);
+    run->checks = g->over ? 0 : span - g->at;
+    if (!g->over || g->whole) return;
+    g->error = (double)INFINITY;
+    g->whole = true;
+}

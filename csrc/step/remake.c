@@ -1,0 +1,90 @@
+/* Steps that are made again with another h, beside the motion: it comes back as it was. */
+#include "dalembert/family.h"
+#include "step/step.h"
+
+#include <string.h>
+
+int dal__remake_make(dal_stepper *self, dal_error *error)
+{
+    dal__remake *const remake = &self->remake;
+    if (dal_stepper_saved(self) == 0) return DAL_SUCCESS; /* it cannot come back */
+    dal__place_reserve(self, &remake->here, &remake->arena);
+    dal__place_reserve(self, &remake->there, &remake->arena);
+    DAL__RESERVE(&remake->arena, self->motion.system->def.inputs, &remake->input,
+                 &remake->applied);
+    dal__rank_reserve(&remake->guards.rank, self->mech.n, self->mech.m, &remake->arena);
+    return dal__allocate(&remake->arena, error);
+}
+
+void dal__remake_begin(dal_stepper *self)
+{
+    dal__remake *const remake = &self->remake;
+    const evaluator *const e = &self->mech.eval;
+    const size_t calls[4] = {e->constraint_calls, e->potential_calls, e->lagrangian_calls,
+                             e->force_calls};
+    dal__remember(self, &remake->here);
+    dal__copy(self->motion.system->def.inputs, self->motion.input, remake->input);
+    if (self->applied) dal__copy(self->motion.system->def.inputs, self->applied, remake->applied);
+    memcpy(remake->calls, calls, sizeof calls);
+    remake->stats = *self->motion.stats;
+    remake->steps = self->motion.steps;
+    remake->undone = self->jump.undone;
+    remake->watch = self->motion.watch;
+    self->motion.watch = NULL;
+    remake->guards.allowed = self->guards.allowed;
+    dal__rank_copy(self->mech.m, &self->guards.rank, &remake->guards.rank);
+    self->motion.guards = &remake->guards;
+}
+
+void dal__remake_end(dal_stepper *self)
+{
+    const dal__remake *const remake = &self->remake;
+    evaluator *const e = &self->mech.eval;
+    dal__copy(self->motion.system->def.inputs, remake->input, e->own_input);
+    if (self->applied) dal__copy(self->motion.system->def.inputs, remake->applied, self->applied);
+    dal__go_back(self, &remake->here);
+    *self->motion.stats = remake->stats;
+    self->motion.steps = remake->steps;
+    self->motion.watch = remake->watch;
+    self->motion.guards = &self->guards;
+    self->jump.undone = remake->undone;
+    e->constraint_calls = remake->calls[0];
+    e->potential_calls = remake->calls[1];
+    e->lagrangian_calls = remake->calls[2];
+    e->force_calls = remake->calls[3];
+}
+
+void dal__remake_start(dal_stepper *self, double t, double from, const double *x, double h)
+{
+    dal_motion *const motion = &self->motion;
+    const size_t n = self->mech.n;
+    memmove(motion->x, x, 2 * n * sizeof *x);
+    if (self->shift != 0.0) dal__add(n, self->shift * (h - from), motion->x + n, motion->x);
+    motion->t0 = t;
+    motion->h = h;
+    motion->first = motion->stats->steps = motion->steps;
+    if (self->applied) dal__forget(motion->system->def.inputs, self->applied);
+    if (self->family->start) self->family->start(self->method, motion);
+}
+
+bool dal__remake_steps(dal_stepper *self, size_t steps)
+{
+    dal_motion *const motion = &self->motion;
+    int status = dal__stepper_turn(self);
+    for (size_t left = steps, done = 0; !status && left > 0; left -= done) {
+        done = 1;
+        status = self->scaling.wanted ? dal__scaling_step(self)
+                                      : self->family->advance(self->method, motion, left, &done);
+        motion->steps += done;
+        if (done == 0 && !status) return false;
+    }
+    return !status;
+}
+
+void dal__remake_pause(dal_stepper *self) { dal__remember(self, &self->remake.there); }
+
+void dal__remake_resume(dal_stepper *self)
+{
+    dal__go_back(self, &self->remake.there);
+    self->motion.steps = self->motion.stats->steps;
+}

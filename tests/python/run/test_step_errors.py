@@ -1,0 +1,219 @@
+"""The estimate of the error of a run, and the warning that h is too large."""
+
+import warnings
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import dalembert as dal
+
+x, y = dal.coordinates("x y")
+SPRING = dal.System.from_sympy(x.d**2 / 2 - x**2 / 2, [], [x], q0=[1], v0=[0])
+TOO_LARGE = "h is too large"
+
+
+def told(function, *args, **given):
+    """Return a run and its warnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        run = function(*args, **given)
+    return run, [str(w.message) for w in caught]
+
+
+def error_on_spring(run):
+    """Return the error of the last state, from q = cos t, relative to the sizes of q and v."""
+    t = run.t[-1]
+    return max(abs(run.q[-1, 0] - np.cos(t)) / 2, abs(run.v[-1, 0] + np.sin(t)))
+
+
+@pytest.mark.parametrize(
+    ("scheme", "h", "steps", "large"),
+    [
+        ("leapfrog", 0.3, 200, True),
+        ("leapfrog", 0.05, 400, False),
+        ("midpoint", 0.2, 301, True),
+        ("leapfrog", -0.3, 202, True),
+        ("leapfrog-suzuki4", 0.9, 400, True),
+        ("leapfrog", 0.12, 3000, True),
+        ("leapfrog", 0.01, 3000, False),
+        ("bm4", 0.2, 5000, False),
+    ],
+)
+def test_estimate_and_warning(scheme, h, steps, large):
+    """Within a third of the error where all steps are made again, else not less than half of it."""
+    run, texts = told(dal.integrate, SPRING, scheme, h=h, steps=steps, stride=steps)
+    error, stats = error_on_spring(run), run.stats
+    assert (error > 0.08) == large == (len(texts) == 1) and (large or error < 0.02)
+    assert stats.whole == (large or steps < 1000)
+    if stats.whole:
+        assert abs(stats.error / error - 1) < 0.35
+        assert (2 if large else 0.25) * steps <= stats.remade < 3 * steps
+    else:
+        assert error / 2 < stats.error < 0.015 and 0 < stats.remade < 0.04 * steps
+    assert "error of the last state: " in repr(run)
+    for text in texts:
+        assert text.startswith(TOO_LARGE) and "check_h=False" in text
+
+
+def test_no_bit_of_the_run_depends_on_it():
+    """Nor what is counted; and whoever watches or steers is not asked again."""
+    asked = []
+
+    def inputs(t, q, v):
+        asked.append(t)
+        return [np.sin(3 * t) - q[0]]
+
+    cart = dal.System(mass=[2], force=lambda t, q, v, u: u - v, inputs=["push"], q0=[1], v0=[0])
+    tops = {"events": [lambda t, q, v: v[0]]}
+    for system, steps, given in (
+        (dal.systems.rolling_disc(), 1300, {"scheme": "midpoint"}),
+        (dal.systems.knife_edge(), 2500, {"scheme": "bm4"}),
+        (dal.systems.contact_oscillator(), 700, {"energy": "keep"}),
+        (SPRING, 300, tops),
+        (
+            cart,
+            90,
+            {"inputs": inputs, "scheme": "midpoint", "observer": lambda *_: asked.append(0)},
+        ),
+    ):
+        runs = []
+        for check in (True, False):
+            asked.clear()
+            runs.append(told(dal.integrate, system, h=0.03, steps=steps, check_h=check, **given)[0])
+            runs.append(list(asked))
+        checked, first, plain, second = runs
+        assert np.array_equal(checked.x, plain.x) and first == second
+        assert np.array_equal(checked.reactions, plain.reactions)
+        assert checked.stats.remade > 0 == plain.stats.remade
+        same = vars(checked.stats) | {"error": 0.0, "remade": 0, "whole": 0}
+        assert same == vars(plain.stats)
+
+
+def test_with_inputs():
+    """A mass that is pushed by u_k in step k, and a spring: by sums of cosines."""
+    u = np.random.default_rng(1).normal(size=(120, 1))
+    f = sp.Symbol("f")
+    pushed = dal.System.from_sympy(
+        x.d**2 / 2 - x**2 / 2, [], [x], force={x: f}, inputs=[f], q0=[1], v0=[0]
+    )
+    h = 0.3
+    run, texts = told(dal.integrate, pushed, "leapfrog", h=h, steps=120, inputs=u)
+    z, states = 1.0, [1.0]
+    for (push,) in u:  # q + i v turns about the push
+        z = push + (z - push) * np.exp(-1j * h)
+        states.append(z)
+    states = np.array(states)
+    error = max(
+        abs(run.q[-1, 0] - z.real) / np.ptp(states.real),
+        abs(run.v[-1, 0] - z.imag) / abs(states.imag).max(),
+    )
+    assert error > 0.05 and len(texts) == 1 and abs(run.stats.error / error - 1) < 0.35
+
+
+def test_inputs_after_a_window_that_cannot_be_made():
+    """The force is not defined where only steps of h/2 look: held inputs are those of the run."""
+    h = 0.01
+
+    def force(t, q, v, u):
+        if abs(t / h % 1 - 0.5) < 0.1:
+            raise dal.DomainError("between the steps")
+        return u - q
+
+    pushed = dal.System(mass=[1], force=force, inputs=["push"], q0=[1], v0=[0])
+    u = np.random.default_rng(1).normal(size=(101, 1))
+    runs = [
+        told(dal.integrate, pushed, "midpoint", h=h, steps=1010, inputs=u, hold=10, check_h=check)
+        for check in (True, False)
+    ]
+    (checked, texts), (plain, _) = runs
+    assert np.array_equal(checked.x, plain.x) and "cannot be made" in texts[0]
+
+
+def test_errors_that_die_out_are_no_reason():
+    """Samples add up errors of a motion that comes to rest; the run made again does not."""
+    damped = dal.System.from_sympy(
+        x.d**2 / 2 - x**2 / 2, [], [x], force={x: -x.d / 10}, q0=[1], v0=[0]
+    )
+    run, texts = told(dal.integrate, damped, "midpoint", h=0.25, steps=1200)
+    assert not texts and run.stats.whole and run.stats.error < 1e-6
+
+
+def test_longer_steps_that_are_unstable_are_no_reason():
+    """A stiff spring that hardly moves: h = 1.5 / omega is stable, and 3 h / 2 is not."""
+    stiff = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2 - x**2 / 2 - 10**4 * y**2 / 2, [], q0=[1, 1e-8], v0=[0, 0]
+    )
+    run, texts = told(dal.integrate, stiff, "leapfrog", h=0.015, steps=900)
+    assert not texts and run.stats.whole and run.stats.error < 0.01
+
+
+def test_after_a_reset_and_at_a_terminal_event():
+    """A ball that bounces by itself has no error of a step, and none that is told."""
+    ball = dal.System(mass=[1], potential=lambda q: q[0], gradient=lambda q: [1.0], q0=[1], v0=[0])
+    bounce = dal.Event(lambda t, q, v: q[0], reset=lambda q, v: (q, -v), direction=-1)
+    run, texts = told(dal.integrate, ball, h=0.01, steps=2500, events=[bounce])
+    assert not texts and run.stats.error < 1e-9
+    end = dal.Event(lambda t, q, v: t - 40.0, terminal=True)
+    run, texts = told(dal.integrate, SPRING, h=0.3, steps=10**6, stride=10**6, events=[end])
+    assert len(texts) == 1 and run.stats.whole
+    assert run.stats.remade == (33 + 1) + (66 + 1) + 2 * 133 + 12  # 4h, 2h, h/2, and a window
+
+
+def test_an_end_where_long_steps_are_right_by_chance():
+    """Steps of 4h are a turn ahead of those of h, to the bit nearly: the states before tell."""
+    h = 0.12
+    speeds = [2 / k * np.arcsin(k / 2) for k in (h, 4 * h)]  # of the phase, of leapfrog
+    steps = round(2 * np.pi / (speeds[1] - speeds[0]) / h)
+    run, texts = told(dal.integrate, SPRING, "leapfrog", h=h, steps=steps)
+    assert len(texts) == 1 and abs(run.stats.error / error_on_spring(run) - 1) < 0.35
+
+
+def test_kept_nodes():
+    """The nodes are those of the run with moved nodes, as is the estimate."""
+    for h, large in ((0.02, False), (0.2, True)):
+        of = [
+            told(dal.integrate, SPRING, scheme, [0], [1], h=h, steps=400, **how)
+            for scheme, how in (("midpoint", {}), ("midpoint-nodes", {"initial": "shift"}))
+        ]
+        (moved, _), (kept, texts) = of
+        assert abs(kept.stats.error / moved.stats.error - 1) < 0.1 and len(texts) == large
+
+
+def test_progress_shows_the_steps_that_check_h():
+    seen = []
+    slow = dal.System(
+        mass=[1], potential=lambda q: q[0] ** 2 / 2, gradient=lambda q: q, q0=[1], v0=[0]
+    )
+    told(dal.integrate, slow, "leapfrog", h=0.3, steps=20000, stride=20000,
+         progress=lambda done, total: seen.append((done, total)))  # fmt: skip
+    done, total = np.transpose(seen)
+    assert np.all(np.diff(done) >= 0) and np.all(done <= total)
+    assert done[-1] == total[-1] >= 40000
+
+
+def test_the_nearly_flat_disc():
+    """It falls nearly flat: the energy, which is constant, tells how wrong that is.
+
+    Of the first no step of another size can be made.
+    """
+    disc = dal.systems.rolling_disc()
+    for lean, yaw, spin, h, known in (
+        (1.4, 0.5, 2, 0.02, False), (1.45, 1, 1, 0.03, True)
+    ):  # fmt: skip
+        q0 = [0, 0, 0, lean, 0]
+        v0 = disc.project(q0, [0, 0, yaw, 0, spin])
+        run, texts = told(dal.integrate, disc, "midpoint", q0, v0, h=h, steps=200)
+        assert run.energy[-1] / run.energy[0] < 0.8 and np.isfinite(run.stats.error) == known
+        assert len(texts) == 1 and "too large (h = 0.0" in texts[0]
+        assert known != ("h / 2 cannot be tried" in repr(run))
+
+
+def test_runs_without_an_estimate():
+    for given in (
+        {"h": "auto", "t_end": 1}, {"h": 0.1, "steps": 50, "scheme": "reference"},
+        {"h": 0.1, "steps": 5}, {"h": 0.1, "steps": 0},
+    ):  # fmt: skip
+        run, texts = told(dal.integrate, SPRING, **given)
+        assert run.stats.remade == 0 == run.stats.error and not texts
+        assert "error of the last state" not in repr(run)
