@@ -111,6 +111,38 @@ def test_with_inputs():
     assert error > 0.05 and len(texts) == 1 and abs(run.stats.error / error - 1) < 0.35
 
 
+def test_inputs_in_constraints():
+    """A spring that a driven carriage pulls: v jumps with the input, in the steps made again too."""
+    rate = sp.Symbol("rate")
+    pulled = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2 - (x - y) ** 2 / 2, [y.d - rate], [x, y], inputs=[rate],
+        q0=[1, 0], v0=[0, 0],
+    )  # fmt: skip
+    u = np.random.default_rng(2).normal(size=(30, 1))
+    for h, steps, hold, large in ((0.3, 300, 10, True), (0.02, 1500, 50, False)):
+        run, texts = told(
+            dal.integrate, pulled, "leapfrog", h=h, steps=steps, inputs=u, hold=hold,
+            consistent="project",
+        )  # fmt: skip
+        z, at, ways = 1.0 + 0j, 0.0, []  # z = x - y - i (x' - rate) turns
+        speed = 0.0
+        for (move,) in u:
+            z = z.real - 1j * (speed - move)
+            z *= np.exp(1j * h * hold)
+            at, speed = at + move * h * hold, move - z.imag
+            ways.append(z.real + at)
+        error = abs(run.q[-1, 0] - ways[-1]) / np.ptp(run.q[:, 0])
+        speeds = abs(run.v[-1, 0] - speed) / abs(run.v[:, 0]).max()
+        error = max(error, speeds)
+        assert len(texts) == large and run.stats.whole == large
+        assert abs(run.stats.error / error - 1) < 0.35 if large else error < run.stats.error < 0.06
+        plain = told(
+            dal.integrate, pulled, "leapfrog", h=h, steps=steps, inputs=u, hold=hold,
+            consistent="project", check_h=False,
+        )[0]  # fmt: skip
+        assert np.array_equal(run.x, plain.x) and np.array_equal(run.reactions, plain.reactions)
+
+
 def test_inputs_after_a_window_that_cannot_be_made():
     """The force is not defined where only steps of h/2 look: held inputs are those of the run."""
     h = 0.01
