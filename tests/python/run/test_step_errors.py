@@ -112,7 +112,7 @@ def test_with_inputs():
 
 
 def test_inputs_in_constraints():
-    """A spring that a driven carriage pulls: v jumps with the input, in the steps made again too."""
+    """A carriage that inputs move pulls at a spring: v jumps, in the steps made again as well."""
     rate = sp.Symbol("rate")
     pulled = dal.System.from_sympy(
         (x.d**2 + y.d**2) / 2 - (x - y) ** 2 / 2, [y.d - rate], [x, y], inputs=[rate],
