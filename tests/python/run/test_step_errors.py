@@ -237,7 +237,7 @@ def test_the_nearly_flat_disc():
         v0 = disc.project(q0, [0, 0, yaw, 0, spin])
         run, texts = told(dal.integrate, disc, "midpoint", q0, v0, h=h, steps=200)
         assert run.energy[-1] / run.energy[0] < 0.8 and np.isfinite(run.stats.error) == known
-        assert len(texts) == 1 and "too large (h = 0.0" in texts[0]
+        assert sum("too large (h = 0.0" in text for text in texts) == 1
         assert known != ("h / 2 cannot be tried" in repr(run))
 
 
