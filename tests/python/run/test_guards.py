@@ -103,6 +103,18 @@ def test_fixed_steps_that_resolve_a_motion_beside_a_dead_centre_are_not_doubted(
     assert 1e-5 < run.stats.least_pivot < 1e-2
 
 
+def test_longer_steps_that_estimate_the_error_leave_no_doubt():
+    """Those of 4h come nearer to the crossing, or jump over it; the run does not."""
+    for n in (150, 200, 300):
+        runs = [
+            run_of(CROSSING, "midpoint", *beside_the_crossing(), h=1.5 / n, steps=n, check_h=check)
+            for check in (True, False)
+        ]
+        (checked, said), (plain, _) = runs
+        assert checked.stats.remade > n / 4 and not said
+        assert checked.stats == plain.stats  # but for what the estimate says
+
+
 def test_steps_that_turn_a_blade_by_any_angle_are_not_doubted():
     for h in (0.7, 1.3, 2.0):
         for scheme in ("leapfrog", "explicit", "midpoint"):
