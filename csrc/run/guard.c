@@ -12,8 +12,11 @@
  * 3. Else r is halved, as far as 1/2: long steps may be too long to tell, or unstable where those
  *    of h are not.  What r = 1/2 says is the estimate, or r = 2 where those cannot be made.
  *
- * Where nothing does work a change of the energy by more than CHANGED of the largest kinetic energy
- * leads to 2 as well.  If steps of h/2 cannot be made either the error is INFINITY.
+ * Samples may miss what is short and violent, as a disc that falls nearly flat.  So 2 follows too
+ * where nothing does work and the energy, looked at in every 64th step, was off by CHANGED of the
+ * largest kinetic energy, and where 64 steps took TOILED times as many iterations as others did.
+ *
+ * If steps of h/2 cannot be made either the error is INFINITY.
  *
  * Inputs may change from step to step, and r > 1 is not for them: windows take h/2, then comes 3.
  * No step leaves a trace elsewhere than here: see remake.c. */
@@ -33,7 +36,7 @@ enum {
     APART_HALVED = 60,
     LOOKS = 16,    /* at sizes, while the number of steps grows by a factor e */
 };
-static const double SUSPECTED = 0.002, CHANGED = 0.04;
+static const double SUSPECTED = 0.002, CHANGED = 0.01, TOILED = 2.5;
 static const double CLEAR = 0.01, NEAR = 0.15; /* the error; the difference that shows it */
 static const double GROWN = 10.0;      /* a motion that has left its size since the last window */
 static const double SMALL = 1e-3;      /* a size is at least this part of the largest of its kind */
@@ -250,6 +253,10 @@ void dal__guard_begin(dal_run *run)
     g->whole = g->over = g->checking = g->failed = false;
     g->ratio = run->inputs ? 0.5 : 2.0;
     g->error = 0.0;
+    g->looked = stepper->motion.steps;
+    g->iterations = stepper->motion.stats->iterations;
+    g->least_effort = (double)INFINITY;
+    g->most_effort = 0.0;
     memcpy(g->low, stepper->motion.x, N * sizeof *g->low);
     memcpy(g->high, stepper->motion.x, N * sizeof *g->high);
     dal__clear(N, g->sum);
@@ -301,25 +308,12 @@ void dal__guard_look(dal_run *run)
     }
 }
 
-/* The change of the energy, as part of the largest kinetic energy; 0 where work is done. */
-static double change_of_energy(const dal_run *run)
-{
-    dal_stepper *const stepper = run->stepper;
-    const dal__jump *const jump = &stepper->jump;
-    double before = 0.0, after = 0.0;
-    if (!jump->looking || !(jump->kinetic > 0.0)) return 0.0;
-    dal__remake_begin(stepper); /* for its counters */
-    int status = dal__energy(&stepper->mech, 0.0, stepper->guard.from, &before);
-    if (!status) status = dal__energy(&stepper->mech, 0.0, stepper->motion.x, &after);
-    dal__remake_end(stepper);
-    return status ? 0.0 : fabs(after - before) / jump->kinetic;
-}
-
 /* Whether the run is to be made again; the estimate by samples is known then. */
 static bool is_suspect(const dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
     dal__guard *const g = &stepper->guard;
+    const dal__jump *const jump = &stepper->jump;
     const size_t N = 2 * stepper->mech.n, steps = run->done - g->begin;
     see(g, stepper->mech.n, stepper->motion.x);
     for (size_t i = 0; i < N; i++) g->sum[i] += g->rate[i] * (double)(run->done - g->covered);
@@ -327,7 +321,8 @@ static bool is_suspect(const dal_run *run)
     const bool grown = largest(g, stepper->mech.n, 0) > GROWN * g->far_q
                     || largest(g, stepper->mech.n, stepper->mech.n) > GROWN * g->far_v;
     return steps < SHORT || g->failed || grown || !(g->error <= SUSPECTED)
-        || change_of_energy(run) > CHANGED;
+        || jump->strayed > CHANGED * jump->kinetic
+        || g->most_effort > TOILED * g->least_effort;
 }
 
 /* The whole piece is made again: its error, and whether that is the estimate. */

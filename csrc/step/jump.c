@@ -52,6 +52,7 @@ int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const doub
     if (status) E = HUGE_VAL; /* V is not finite there, or not defined, as it was at the start */
     else jump->kinetic = fmax(jump->kinetic, kinetic);
     const double change = E - jump->energy + jump->undone;
+    jump->strayed = fmax(jump->strayed, fabs(change));
     const double least = RESOLUTION * fmax(fabs(E), fabs(jump->energy));
     if (isfinite(E) && fabs(change) <= fmax(0.5 * jump->kinetic, least)) return DAL_SUCCESS;
     jump->step = step;

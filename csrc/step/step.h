@@ -58,6 +58,7 @@ typedef struct dal__jump {
     size_t step;                   /* where the energy was seen to have jumped; 0: nowhere */
     double change;                 /* by how much */
     double undone;                 /* what else it would have changed by: see scaling.c */
+    double strayed;                /* the largest change that was seen */
 } dal__jump;
 /* The errors of the callbacks; then only DAL_EUSER.  The text is in mech->error. */
 int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shift,
@@ -198,6 +199,8 @@ typedef struct dal__guard {
     double sum_of_most;      /* the sum at the last of the most marks */
     size_t first, span, at;  /* steps made again: where they begin, how many, how many are done */
     double t;
+    size_t looked, iterations; /* steps and iterations at the last look of the stepper; */
+    double least_effort, most_effort; /* iterations a step between two of them */
     size_t remade;
     bool whole;
     double error;

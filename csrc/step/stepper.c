@@ -370,8 +370,24 @@ void dal__guard_forget(dal_stepper *stepper)
 
 /* ---- steps ------------------------------------------------------------------------------ */
 
+enum { BETWEEN_LOOKS = 64 };
+
+/* Of the steps since the last look. */
+static void note_effort(dal_stepper *self)
+{
+    dal__guard *const guard = &self->guard;
+    const size_t steps = self->motion.steps - guard->looked;
+    const size_t iterations = self->motion.stats->iterations - guard->iterations;
+    if (steps < BETWEEN_LOOKS) return;
+    guard->least_effort = fmin(guard->least_effort, (double)iterations / (double)steps);
+    guard->most_effort = fmax(guard->most_effort, (double)iterations / (double)steps);
+    guard->looked += steps;
+    guard->iterations += iterations;
+}
+
 int dal__stepper_look(dal_stepper *stepper)
 {
+    note_effort(stepper);
     const int status = dal__jump_look(&stepper->jump, &stepper->mech, stepper->motion.steps,
                                       stepper->motion.x);
     if (status) stepper->error = stepper->mech.error;
@@ -421,8 +437,7 @@ static int choose_step(dal_stepper *self)
 
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
 {
-    enum { BETWEEN_LOOKS = 64 };
-    dal_stepper *const self = stepper;
+        dal_stepper *const self = stepper;
     dal_motion *const motion = &self->motion;
     *made = 0;
     const int turned = steps > 0 ? dal__stepper_turn(self) : DAL_SUCCESS;

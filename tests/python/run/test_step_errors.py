@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import sympy as sp
+from scipy.integrate import solve_ivp
 
 import dalembert as dal
 
@@ -239,6 +240,25 @@ def test_the_nearly_flat_disc():
         assert run.energy[-1] / run.energy[0] < 0.8 and np.isfinite(run.stats.error) == known
         assert sum("too large (h = 0.0" in text for text in texts) == 1
         assert known != ("h / 2 cannot be tried" in repr(run))
+
+
+def test_what_is_short_and_violent():
+    """Samples miss the fall of a disc, which toils, and encounters, where the energy strays."""
+    disc = dal.systems.rolling_disc()
+    q0 = [0, 0, 0, 1.45, 0]
+    v0 = disc.project(q0, [0, 0, 1, 0, 1])
+    run, texts = told(dal.integrate, disc, "midpoint", q0, v0, h=0.001, steps=4000)
+    exact = dal.integrate(disc, "reference", q0, v0, h=4, steps=1)
+    assert abs(run.q[-1] - exact.q[-1]).max() > 0.3 and texts[0].startswith(TOO_LARGE)
+
+    comet = dal.System.from_sympy((x.d**2 + y.d**2) / 2 + 1 / sp.sqrt(x**2 + y**2))
+    start, steps, h = [1, 0, 0, 0.1], 3000, 0.002
+    run, texts = told(dal.integrate, comet, "leapfrog", start[:2], start[2:], h=h, steps=steps)
+    exact = solve_ivp(
+        lambda t, s: [*s[2:], *(-s[:2] / np.hypot(*s[:2]) ** 3)], (0, steps * h), start,
+        method="DOP853", rtol=1e-12, atol=1e-12,
+    ).y[:2, -1]  # fmt: skip
+    assert abs(run.q[-1] - exact).max() > 0.2 and texts[0].startswith(TOO_LARGE)
 
 
 def test_runs_without_an_estimate():
