@@ -562,6 +562,7 @@ static void restore(void *method, const double *values)
     dal_kernel *const k = &self->kernel;
     const size_t n = k->n;
     const double *const vectors = values + 3 + k->kinds;
+    if (isfinite(k->range[1])) take_range(k, self->motion); /* else the steps look by themselves */
     dal__copy(self->motion->system->def.inputs, k->input, self->input);
     k->pulled = values[0] != 0.0;
     k->forced = values[1] != 0.0;

