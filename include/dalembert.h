@@ -470,9 +470,9 @@ typedef struct dal_stats {
                                    were made beside those of the run; whole = 1: the whole run was
                                    made again, or its first 131072 steps, or what follows its last
                                    reset.  Else samples were, whose errors are added up, which is
-                                   mostly more than the error.  Above 0.06 with whole = 1, h is too
+                                   mostly more than the error.  Above 0.05 with whole = 1, h is too
                                    large; INFINITY: steps of h/2 cannot be made, and there is
-                                   reason to doubt those of h.  0: no estimate, see dal_run */
+                                   reason to doubt those of h.  NAN: no estimate, see dal_run */
     size_t remade, whole;
 } dal_stats;
 

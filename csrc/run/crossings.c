@@ -7,6 +7,7 @@
 
 enum { HALVINGS = 12 }; /* in which a guard that was reset has to show its sign */
 #define NEARBY 0x1p-10  /* the part of a step over which the rate of g is differenced */
+#define LEAST_LEFT 0x1p-24 /* of a step, over which the change of v is more than its rounding */
 
 /* ---- states within a step ------------------------------------------------------------------ */
 
@@ -65,10 +66,12 @@ int dal__event_rate(dal_events *e, size_t event, double theta, const double *x, 
 {
     const size_t n = e->n;
     const double *const v0 = e->begin + n, *const v1 = e->end + n;
-    const double left = 1.0 - e->from, part = ahead * NEARBY * (left > 0.0 ? left : 1.0);
+    const double left = 1.0 - e->from;
+    const bool known = left > LEAST_LEFT; /* how v changes in it */
+    const double part = ahead * NEARBY * (known ? left : 1.0);
     for (size_t i = 0; i < n; i++) {
         e->line[i] = x[i] + part * e->h * x[n + i];
-        e->line[n + i] = x[n + i] + (left > 0.0 ? part / left * (v1[i] - v0[i]) : 0.0);
+        e->line[n + i] = x[n + i] + (known ? part / left * (v1[i] - v0[i]) : 0.0);
     }
     double there;
     const int status =

@@ -252,7 +252,7 @@ void dal__guard_begin(dal_run *run)
     g->remade = 0;
     g->whole = g->over = g->checking = g->failed = false;
     g->ratio = run->inputs ? 0.5 : 2.0;
-    g->error = 0.0;
+    g->error = (double)NAN;
     g->looked = stepper->motion.steps;
     g->iterations = stepper->motion.stats->iterations;
     g->least_effort = (double)INFINITY;
@@ -317,7 +317,7 @@ static bool is_suspect(const dal_run *run)
     const size_t N = 2 * stepper->mech.n, steps = run->done - g->begin;
     see(g, stepper->mech.n, stepper->motion.x);
     for (size_t i = 0; i < N; i++) g->sum[i] += g->rate[i] * (double)(run->done - g->covered);
-    g->error = measure(g, stepper->mech.n, g->sum);
+    g->error = g->covered > g->begin ? measure(g, stepper->mech.n, g->sum) : (double)NAN;
     const bool grown = largest(g, stepper->mech.n, 0) > GROWN * g->far_q
                     || largest(g, stepper->mech.n, stepper->mech.n) > GROWN * g->far_v;
     return steps < SHORT || g->failed || grown || !(g->error <= SUSPECTED)
@@ -343,13 +343,22 @@ static bool conclude(const dal_run *run, const double *x)
 }
 
 /* The r of the first steps that are made again; the next of them. */
-static double first_ratio(const dal_run *run)
+static double first_ratio(const dal_run *run, size_t span)
 {
     const int p = order_of(run->stepper);
-    return run->inputs ? 0.5 : p == 1 ? 8.0 : p == 2 ? 4.0 : 2.0;
+    const double wanted = p == 1 ? 8.0 : p == 2 ? 4.0 : 2.0, few = 0.25 * (double)span;
+    return run->inputs ? 0.5 : few >= wanted ? wanted : few >= 4.0 ? 4.0 : 2.0;
 }
 
 static double next_ratio(double ratio) { return ratio > 2.0 ? 0.5 * ratio : 0.5; }
+
+/* What is compared at an end in a jump of v to new inputs has jumped as well. */
+static bool turn(dal_stepper *stepper)
+{
+    dal__copy(stepper->motion.system->def.inputs, stepper->remake.input,
+              stepper->mech.eval.own_input);
+    return dal__stepper_turn(stepper) == DAL_SUCCESS;
+}
 
 void dal__guard_check(dal_run *run, size_t budget)
 {
@@ -365,15 +374,16 @@ void dal__guard_check(dal_run *run, size_t budget)
     if (g->checking) {
         dal__remake_resume(stepper);
     } else {
-        g->ratio = first_ratio(run);
+        g->ratio = first_ratio(run, span);
         start(run, g->piece_t, g->from, g->piece, span);
     }
     g->checking = true;
     while (!g->over) {
         bool made = go(run, budget);
         if (made && g->at < span) break;
-        made = made && conclude(run, span < steps ? g->mark + (g->marks - 1) * 2 * stepper->mech.n
-                                               : stepper->remake.here.x);
+        const double *const x = span < steps ? g->mark + (g->marks - 1) * 2 * stepper->mech.n
+                                             : stepper->remake.here.x;
+        made = made && (span < steps || turn(stepper)) && conclude(run, x);
         g->over = made || g->ratio < 1.0;
         if (g->over) break;
         g->ratio = next_ratio(g->ratio);

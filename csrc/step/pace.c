@@ -232,8 +232,13 @@ static double fit(const dal_stepper *self, double t, double h)
     const dal__pace *const pace = &self->pace;
     const double left = self->vary.until - t;
     if (fabs(h) > pace->h_max) h = copysign(pace->h_max, h);
-    if (fabs(h) >= fabs(left)) return dal__vary_last(self, t);
-    if (2.0 * fabs(h) > fabs(left)) h = 0.5 * left;
+    if (fabs(h) >= fabs(left)) {
+        const double last = dal__vary_last(self, t);
+        if (t + last == self->vary.until) return last;
+        h = 0.75 * left; /* no number leads there from t, and from there one does */
+    } else if (2.0 * fabs(h) > fabs(left)) {
+        h = 0.5 * left;
+    }
     return (t + h) - t;
 }
 

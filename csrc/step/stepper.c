@@ -365,7 +365,7 @@ void dal__guard_forget(dal_stepper *stepper)
     guard->run = NULL;
     guard->on = guard->whole = false;
     guard->remade = 0;
-    guard->error = 0.0;
+    guard->error = (double)NAN;
 }
 
 /* ---- steps ------------------------------------------------------------------------------ */

@@ -73,7 +73,7 @@ class Statistics:
         and its time. 1 for steps of one size.
     error : float
         About how large the error of the last state is, relative to its size: of each q the way that
-        it has gone, of each v its largest value.  0: there is no estimate.  inf: steps of h / 2
+        it has gone, of each v its largest value.  nan: there is no estimate.  inf: steps of h / 2
         cannot be made, and there is reason to doubt those of h.
     remade : int
         Steps of another size that were made beside those of the run, for this estimate.
@@ -100,7 +100,7 @@ class Statistics:
     jump_step: int = 0
     jump: float = 0.0
     largest_kinetic: float = 0.0
-    error: float = field(default=0.0, compare=False)  # after a restart it is that of the rest
+    error: float = field(default=np.nan, compare=False)  # after a restart it is that of the rest
     remade: int = field(default=0, compare=False)
     whole: int = field(default=0, compare=False)
     rejected: int = 0
@@ -437,11 +437,10 @@ class Solution(Mapping[str, Any]):
         if self.times is None:
             last = np.arange(len(self.x)) * self.stride - 1
             return self._rows_of_inputs(last.clip(0) // int(self.hold))
-        passed = np.abs(self.times - self.t0)
-        if self.control:
-            rows = np.ceil(passed / self.hold * (1 - 4e-16)).astype(int) - 1
-        else:
-            rows = (np.ceil(passed / abs(self.h) - 1e-9).astype(int) - 1) // int(self.hold)
+        nearest, side = self._in_spans(self.times)
+        rows = nearest - (side <= 0)
+        if not self.control:
+            rows //= int(self.hold)
         # a row at the time of the one before, and that of a terminal event, may be after a jump
         rows[1:] += self.times[1:] == self.times[:-1]
         if any(self.times[-1] in t[-1:] for t in self.t_events):
@@ -450,11 +449,23 @@ class Solution(Mapping[str, Any]):
 
     def _inputs_at(self, times: Array) -> Array:
         """Return the inputs that begin, or go on, at times."""
-        if self.control:  # their rows are as long as the steps of others
-            passed = np.abs(times - self.t0) / self.hold
-            return self._rows_of_inputs(np.floor(passed * (1 + 4e-16)).astype(int))
-        steps = np.floor((times - self.t0) / self.h + 1e-9).astype(int)
-        return self._rows_of_inputs(steps // int(self.hold))
+        nearest, side = self._in_spans(times)
+        rows = nearest - (side < 0)
+        return self._rows_of_inputs(rows if self.control else rows // int(self.hold))
+
+    def _in_spans(self, times: Array) -> tuple[NDArray[np.int_], Array]:
+        """Return which of the times where steps, or rows of inputs, begin is nearest, and the side.
+
+        0 is within rounding, as for C, for which an output time there belongs to the step before.
+        """
+        size = self.h
+        if self.control and self.times is not None:  # rows of inputs are as steps of others
+            size = float(np.copysign(self.hold, self.times[-1] - self.t0))
+        nearest = np.rint((times - self.t0) / size)
+        begin = self.t0 + nearest * size
+        rounding = 2.0 * np.finfo(float).eps * np.maximum(np.abs(times), np.abs(begin))
+        off = np.sign(size) * (times - begin)
+        return nearest.astype(int), np.where(np.abs(off) <= rounding, 0.0, np.sign(off))
 
     def _rows_of_inputs(self, rows: NDArray[np.int_]) -> Array:
         """Return the inputs of these rows; what follows the last is that."""
@@ -628,7 +639,7 @@ class Solution(Mapping[str, Any]):
             lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
         if np.isinf(self.stats.error):
             lines.append("  error of the last state: unknown, h / 2 cannot be tried")
-        elif self.stats.error:
+        elif self.stats.error >= 0.0:
             about = "about" if self.stats.whole else "at most about"
             lines.append(f"  error of the last state: {about} {self.stats.error:.0e} of its size")
         if self.stats.scaled or self.stats.unscaled:

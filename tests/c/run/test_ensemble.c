@@ -74,7 +74,7 @@ static void check_member(const char *name, const dal_scheme *scheme, double h, s
     CHECK(!dal_trajectory(mech, 0.5, (double)stride * h, shift * h, all, x, NULL, energy,
                           multipliers, NULL, residual, NULL));
     dal_stepper_stats(stepper, &stats);
-    stats.error = 0.0; /* of which members have no estimate */
+    stats.error = (double)NAN; /* of which members have no estimate */
     stats.remade = stats.whole = 0;
     const size_t from = all - rows; /* which are all of them, or the last */
     CHECK(found->status[k] == 0 && found->done[k] == STEPS && found->errors[k].text[0] == '\0');

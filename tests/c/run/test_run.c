@@ -732,7 +732,7 @@ static void test_error(void)
         const double by = fmax(fabs(end[0] - cos(LONG * h)) / 2.0, fabs(end[2] + sin(LONG * h)));
         CHECK(by > 0.1 && stats.steps == LONG);
         if (!unchecked) CHECK(stats.whole == 1 && fabs(stats.error / by - 1.0) < 0.35);
-        else CHECK(stats.whole == 0 && stats.error == 0.0 && stats.remade == 0);
+        else CHECK(stats.whole == 0 && isnan(stats.error) && stats.remade == 0);
     }
     dal_stepper_free(stepper);
     dal_system_free(system);

@@ -158,6 +158,18 @@ def test_resets_that_are_expressions(compiler, monkeypatch):
             dal.integrate(ball, h=0.01, t_end=1, events=[wrong])
 
 
+@pytest.mark.parametrize("scheme", ["leapfrog", "midpoint"])
+def test_walls_within_rounding_of_a_step(scheme):
+    """A free particle turns at a wall at k h, whose g there is a rounding of either sign."""
+    free = dal.System(mass=[1])
+    for k in range(1, 20):
+        wall = 0.1 * k
+        turn = dal.Event(lambda t, q, v: q[0] - wall, direction=1, reset=lambda q, v: (q, -v))
+        run = dal.integrate(free, scheme, [0], [1], h=0.1, t_end=2, events=[turn])
+        assert abs(run.t_events[0] - wall).max() < 1e-14 and len(run.t_events[0]) == 1
+        assert abs(run.q[-1, 0] - (2 * wall - 2)) < 1e-14
+
+
 def test_reset_onto_D_on_request():
     off = {"direction": 1, "reset": lambda q, v: (q, [0, -1, v[2]])}
     g = lambda t, q, v: q[0] - 0.4  # noqa: E731

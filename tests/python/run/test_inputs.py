@@ -848,6 +848,27 @@ def test_states_between_jumps():
         x = found.y[:, -1]
 
 
+@pytest.mark.parametrize("t0", [0, 1.7, 100, -3.3])
+@pytest.mark.parametrize("ahead", [1, -1])
+def test_rows_where_inputs_change_have_those_of_the_step_that_ended(t0, ahead):
+    """However t0 + k hold is rounded: else the residual is the change of the input."""
+    x, steer = dal.coordinates("x steer")
+    rate = sympy.Symbol("rate")
+    car = dal.System.from_sympy(
+        (x.d**2 + steer.d**2) / 2 - x**2 / 2, [steer.d - rate], inputs=[rate],
+        q0=[0, 0], v0=[1, 0.1],
+    )  # fmt: skip
+    times = t0 + ahead * np.array([0.1, 0.1 + 1e-13, 0.1 + 1e-9, 0.2, 0.25])
+    given = {"inputs": [[0.1], [0.9], [0.2]], "t0": t0, "t_end": t0 + 0.3 * ahead}
+    for scheme, how in (
+        (None, {"h": "auto", "hold": 0.1}), ("midpoint", {"h": 0.1 * ahead}),
+        ("reference", {"h": 0.1 * ahead}),
+    ):  # fmt: skip
+        for t_eval in (None, times):
+            run = dal.integrate(car, scheme, **given, **how, t_eval=t_eval)
+            assert run.residual.max() < 1e-14
+
+
 def test_journals_of_driven_runs(tmp_path):
     x, _ = dal.coordinates("x y")
     law = {"u": sympy.cos(x) / 2 + x.d / 4}

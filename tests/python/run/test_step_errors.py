@@ -87,8 +87,7 @@ def test_no_bit_of_the_run_depends_on_it():
         assert np.array_equal(checked.x, plain.x) and first == second
         assert np.array_equal(checked.reactions, plain.reactions)
         assert checked.stats.remade > 0 == plain.stats.remade
-        same = vars(checked.stats) | {"error": 0.0, "remade": 0, "whole": 0}
-        assert same == vars(plain.stats)
+        assert checked.stats == plain.stats  # but for what the estimate says
 
 
 def test_with_inputs():
@@ -136,7 +135,7 @@ def test_inputs_in_constraints():
         speeds = abs(run.v[-1, 0] - speed) / abs(run.v[:, 0]).max()
         error = max(error, speeds)
         assert len(texts) == large and run.stats.whole == large
-        assert abs(run.stats.error / error - 1) < 0.35 if large else error < run.stats.error < 0.06
+        assert abs(run.stats.error / error - 1) < 0.35 if large else error < run.stats.error < 0.05
         plain = told(
             dal.integrate, pulled, "leapfrog", h=h, steps=steps, inputs=u, hold=hold,
             consistent="project", check_h=False,
@@ -191,6 +190,32 @@ def test_after_a_reset_and_at_a_terminal_event():
     run, texts = told(dal.integrate, SPRING, h=0.3, steps=10**6, stride=10**6, events=[end])
     assert len(texts) == 1 and run.stats.whole
     assert run.stats.remade == (33 + 1) + (66 + 1) + 2 * 133 + 12  # 4h, 2h, h/2, and a window
+
+
+def test_an_end_in_a_jump_of_the_inputs():
+    """v jumps at t = 0.5, and with it an event ends the run: the steps were good."""
+    rate = sp.Symbol("rate")
+    car = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2 - x**2 / 2, [y.d - rate], [x, y], inputs=[rate],
+        q0=[0, 0], v0=[1, 0.1],
+    )  # fmt: skip
+    end = dal.Event(lambda t, q, v: v[1] - 0.3, terminal=True)
+    run, texts = told(
+        dal.integrate, car, "midpoint", h=0.01, steps=100, inputs=[[0.1], [0.5]], hold=50,
+        events=[end],
+    )  # fmt: skip
+    assert run.t[-1] == 0.5 and not texts and run.stats.error < 1e-4
+
+
+def test_the_shortest_runs():
+    """As long as the longest of the steps made again; resets may leave nothing to make again."""
+    for scheme in ("explicit", "leapfrog"):
+        for steps in (6, 7, 8, 9):
+            run, texts = told(dal.integrate, SPRING, scheme, h=0.9, steps=steps)
+            assert run.stats.error > 0.02 and len(texts) == (run.stats.error > 0.05)
+    turn = dal.Event(lambda t, q, v: v[0], reset=lambda q, v: (q, v))
+    run, _ = told(dal.integrate, SPRING, "leapfrog", h=0.2, steps=1500, events=[turn])
+    assert np.isnan(run.stats.error) == (run.stats.remade == 0)
 
 
 def test_an_end_where_long_steps_are_right_by_chance():
@@ -267,5 +292,5 @@ def test_runs_without_an_estimate():
         {"h": 0.1, "steps": 5}, {"h": 0.1, "steps": 0},
     ):  # fmt: skip
         run, texts = told(dal.integrate, SPRING, **given)
-        assert run.stats.remade == 0 == run.stats.error and not texts
+        assert run.stats.remade == 0 and np.isnan(run.stats.error) and not texts
         assert "error of the last state" not in repr(run)

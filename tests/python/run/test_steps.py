@@ -358,6 +358,26 @@ def test_an_energy_that_comes_and_goes_is_not_warned_of(comet):
     assert 0 < run.stats.resets <= 10 and drift_of(run.energy, run) > 3e-6
 
 
+@pytest.mark.filterwarnings("error")
+def test_energy_that_resets_take_is_not_warned_of():
+    """A ball that loses a third of its energy at each bounce: nothing of that is the steps'."""
+    ball = dal.System(mass=[1], potential=lambda q: 9.81 * q[0], gradient=lambda q: [9.81])
+    bounce = dal.Event(lambda t, q, v: q[0], direction=-1, reset=lambda q, v: (q, -0.8 * v))
+    for t_end in (2, 3, 4):
+        run = dal.integrate(ball, None, [1], [0], h="reversible", t_end=t_end, events=[bounce])
+        assert run.energy[-1] < 0.3 * run.energy[0]
+
+
+def test_every_end_can_be_reached():
+    """Also where no number leads there from the state before: t + (end - t) is not the end."""
+    particle = dal.systems.particle()
+    rng = np.random.default_rng(1)
+    for end in (0.11, 0.10382182036017691, *rng.uniform(1e-3, 1.6, 400)):
+        for sign in (1, -1):
+            run = dal.integrate(particle, h="auto", t_end=sign * end, tolerance=1e-8)
+            assert run.t[-1] == sign * end
+
+
 def test_an_energy_that_is_lost_in_the_first_encounter_is_warned_of():
     x, y = dal.coordinates("x y")
     walls = sum(sympy.exp(k * (a - 1)) + sympy.exp(-k * (a + 1)) for k, a in ((100, x), (5, y)))
