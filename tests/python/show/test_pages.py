@@ -469,5 +469,5 @@ def test_a_page_says_what_is_doubtful():
         mass=[1, 1], coordinates="xy", potential=lambda q: 101**2 * q @ q / 2,
         gradient=lambda q: 101**2 * q, hessian=lambda q: 101**2 * np.eye(2), q0=[1, 0], v0=[0, 0],
     )  # fmt: skip
-    assert "Doubtful: the energy has changed by" in dal.pages.page(spring)
+    assert "Doubtful: h is too large" in dal.pages.page(spring)
     assert "Doubtful" not in dal.pages.page(dal.systems.sleigh())

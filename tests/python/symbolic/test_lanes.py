@@ -116,7 +116,7 @@ class Lanes:
     def __init__(self, like, vector=0):
         made = ffi.new("dal__lanes **")
         assert lib.dal__lanes_new(made, like._handle, ffi.NULL) == 0
-        self.like = like
+        self.like, self.vector = like, vector
         self.handle = ffi.gc(made[0], lib.dal__lanes_free)
         self.width = lib.dal__lanes_use(self.handle, vector)
 
@@ -136,6 +136,21 @@ class Lanes:
 
     def unload(self, lane, stepper):
         lib.dal__lanes_unload(self.handle, lane, stepper._handle)
+
+
+def after(lanes, lane, steps, stepper):
+    """Return the state after so many steps: where a lane stops, as C is looked at there, which is
+    rare, the stepper makes a step of its own."""
+    made, stops = lanes.made(lane), 0
+    while made < steps:
+        lanes.unload(lane, stepper)
+        stepper.step()
+        lanes = Lanes(stepper, lanes.vector)
+        lanes.load(lane, stepper)
+        lanes.advance(steps - made - 1)
+        made, stops = made + 1 + lanes.made(lane), stops + 1
+    assert stops <= 0.05 * steps + 1
+    return lanes.state(lane)
 
 
 def together(system):
@@ -193,17 +208,17 @@ def test_as_alone(make, flags):
     system = make()
     with_lanes = together(system)
     for scheme in SCHEMES:
-        alone, loaded = members(system, scheme), members(with_lanes, scheme)
+        alone = members(system, scheme)
         for stepper in alone:
             stepper.step(steps=1000)
         for vector in vectors(with_lanes):
+            loaded = members(with_lanes, scheme)
             lanes = Lanes(loaded[0], vector)
             for lane in range(lanes.width):
                 lanes.load(lane, loaded[lane])
             lanes.advance(1000)
             for lane in range(lanes.width):
-                x, expected = lanes.state(lane), state(alone[lane])
-                assert lanes.made(lane) == 1000
+                x, expected = after(lanes, lane, 1000, loaded[lane]), state(alone[lane])
                 if flags == "libm" or make in ALGEBRAIC:
                     np.testing.assert_array_equal(x, expected)
                     continue
@@ -317,17 +332,21 @@ def test_singular(x, speed):
     negative, a lane stops."""
     system = together(singular())
     given = {"h": 0.01, "v0": [speed, 0, -speed]}
-    stepper, far, alone = (
-        dal.Stepper(system, "midpoint", q0=[start, 0, 0], **given) for start in (x, 0.1, x)
-    )
+    alone = dal.Stepper(system, "midpoint", q0=[x, 0, 0], **given)
     alone.step(steps=9)
     for vector in vectors(system):
+        stepper, far = (
+            dal.Stepper(system, "midpoint", q0=[start, 0, 0], **given) for start in (x, 0.1)
+        )
         lanes = Lanes(stepper, vector)
         lanes.load(1, stepper)
         lanes.load(2, far)
         lanes.advance(15)
-        assert (lanes.made(1), lanes.made(2)) == (9, 15)
-        np.testing.assert_array_equal(lanes.state(1), state(alone))
+        assert lanes.made(1) <= 9 and lanes.made(2) == 15
+        np.testing.assert_array_equal(after(lanes, 1, 9, stepper), state(alone))
+        lanes.load(1, alone)
+        lanes.advance(1)
+        assert lanes.made(1) == 0
 
 
 def test_overflow():

@@ -333,7 +333,8 @@ def told(system, scheme, h, steps):
         except dal.DalembertError as error:
             assert f"h = {h:g}" in str(error) and "t = " in str(error)
             return True, None
-    return any("energy has changed" in str(one.message) for one in heard), run
+    words = "energy has changed", "too large (h = "
+    return any(word in str(one.message) for word in words for one in heard), run
 
 
 @pytest.mark.parametrize("name", ["heisenberg", "chaotic", "sleigh", "rolling_disc", "snakeboard"])
@@ -459,7 +460,7 @@ def test_rows_that_vanish_on_the_way_are_named():
         start = [-1, 1, 0, 0], [1, -1, 1, 2]
         run = dal.integrate(system, scheme, *start, h=0.036, steps=99, throw=False)
         assert run.success is False and abs(run.q[-1, 0]) < 0.036
-        assert run.message.endswith("constraints[1] turns by more than a right angle in this step")
+        assert "constraints[1] turns by more than a right angle in this step" in run.message
 
 
 def test_rows_of_many_constraints_that_depend():
