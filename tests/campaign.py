@@ -225,13 +225,16 @@ class Trial:
         for i in range(5):
             by = 1 + (i > 0) * 1e-9 * self.rng.uniform(-1, 1, (3, mech.n))
             values.append(mech.acceleration(t * by[2, 0], q * by[0], v * by[1])[1])
-        at = mech.L_hessian(mech.z(q, v, t))[mech.n :, mech.n :]
+        H = mech.L_hessian(mech.z(q, v, t))
+        at, crossed = H[mech.n :, mech.n :], abs(H[mech.n :, : mech.n]) @ abs(v)
         mu = mech.mu(q, v, t)
         row, column = scales(at, mu)
         A = np.block([[at, -mu.T], [mu, np.zeros(2 * [mech.m])]]).astype(float)
         condition = np.linalg.cond(row[:, None] * A * column, np.inf)
         acceleration, exact = mech.acceleration(t, q, v)
         size = np.max(abs(np.concatenate([acceleration, exact]) / column))
+        # terms of L_qv v may cancel others, and leave no more than their rounding
+        size = max(size, np.max(row[: mech.n] * crossed.astype(float)))
         spread_of = np.max([abs(value - exact) for value in values], axis=0) / 1e-9
         limit = 100 * U * (condition * size * column[mech.n :] + spread_of) + 1e-300
         try:
