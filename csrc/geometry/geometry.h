@@ -251,7 +251,7 @@ struct dal__guards {
     double allowed;         /* pivot: below it the errors of the steps may choose the branch */
     dal__creep creep;
 };
-/* What they know, to the statistics. */
+/* Copy the least pivot and the shortest step into the statistics. */
 void dal__guards_tell(const struct dal__guards *guards, dal_stats *stats);
 /* A chart of D, connection.c.  It may be part of another object, as a dal_mechanics may. */
 struct dal_chart {

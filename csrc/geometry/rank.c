@@ -48,7 +48,7 @@ void dal__rank_find(dal__rank *rank, dal_mechanics *mech)
     }
 }
 
-/* The range from a matrix, whose inverse is known or NaN, on. */
+/* Set the range around the log2 of 1/|det| of a matrix, NaN if it is unknown. */
 static void set_range(dal__rank *rank, double inverse)
 {
     const bool known = !isnan(inverse);
@@ -86,7 +86,7 @@ bool dal__rank_strays(dal__rank *rank, double inverse)
     return !first;
 }
 
-/* What is found at time t, a pivot of row a, if it is the least so far. */
+/* Record the pivot of row a at time t if it is the least so far. */
 static void note(dal__rank *rank, size_t m, double t, size_t a, double pivot)
 {
     const double least = pivot / rank->largest[a];

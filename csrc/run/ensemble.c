@@ -184,7 +184,8 @@ static int bind_parameters(worker *self)
                               &self->stepper->error);
 }
 
-/* Of constraints that depend on inputs the initial data have to lie in the D of the first ones. */
+/* Set the first inputs before the start: if constraints depend on inputs, the initial data must lie
+ * in D for these. */
 static int first_inputs(worker *self)
 {
     const dal_members *const members = self->members;

@@ -1,25 +1,25 @@
 /* Whether h is too large: an estimate of the error of the state at the end of a run.
  *
- * Steps are made again from a state of the run with another size r h.  For order p the two states
- * at the end differ by |r^p - 1| times the error of the steps of h.
+ * Some steps are computed again, from a state of the run, with the size r h.  For order p the two
+ * final states differ by |r^p - 1| times the error of the steps of h.
  *
- * 1. In a run of SHORT steps or more these are samples, windows of some dozens of steps, r = 2.
- *    Their errors, interpolated between them, are added up, as if none grew or died out.  A sum of
- *    at most SUSPECTED is the estimate, unless the state is now GROWN times as large as it was.
- * 2. Else, and in shorter runs, the whole run is made again, or its first MOST steps, first with
- *    the r = 8, 4, 2 at which an error of CLEAR would be a difference of about a sixth.  A smaller
- *    error is the estimate.
- * 3. Else r is halved, as far as 1/2: long steps may be too long to tell, or unstable where those
- *    of h are not.  What r = 1/2 says is the estimate, or r = 2 where those cannot be made.
+ * 1. A run of SHORT steps or more is sampled: r = 2 in windows of some dozens of steps.  The errors
+ *    are interpolated between the windows and added up, as if none grew or died out.  The sum is
+ *    the estimate if it is at most SUSPECTED and the state has not grown by GROWN since.
+ * 2. Otherwise, and for shorter runs, the whole run or its first MOST steps are computed again.
+ *    The first r is 8, 4 or 2, where an error of CLEAR gives a difference of about a sixth.  The
+ *    estimate is accepted if it is at most CLEAR, at the end and at the marks on the way.
+ * 3. Otherwise r is halved, down to 1/2: long steps can be too inaccurate to compare with, or
+ *    unstable where those of h are not.  The last r whose steps converge gives the estimate.
  *
- * Samples may miss what is short and violent, as a disc that falls nearly flat.  So 2 follows too
- * where nothing does work and the energy, looked at in every 64th step, was off by CHANGED of the
- * largest kinetic energy, and where 64 steps took TOILED times as many iterations as others did.
+ * Windows can miss short and violent phases, as when a disc falls nearly flat.  Case 2 therefore
+ * also applies if the energy of a conservative system, checked every 64 steps, is off by CHANGED of
+ * the largest kinetic energy, or if some 64 steps need TOILED times as many iterations as others.
  *
- * If steps of h/2 cannot be made either the error is INFINITY.
+ * The error is INFINITY if no other step converges.
  *
- * Inputs may change from step to step, and r > 1 is not for them: windows take h/2, then comes 3.
- * No step leaves a trace elsewhere than here: see remake.c. */
+ * Inputs may change from step to step, so that r > 1 is impossible: windows use r = 1/2, then
+ * case 3 applies.  The motion is restored afterwards: see remake.c. */
 #include "run/events.h"
 #include "run/run.h"
 
@@ -27,20 +27,20 @@
 #include <string.h>
 
 enum {
-    SHORT = 1000,  /* a run of fewer steps is made again */
-    LEAST = 6,     /* one of fewer is not */
-    FOLD = 8,      /* steps in the longest of those made again, and between the first marks */
-    MOST = 8192 * DAL__MARKS, /* steps that are made again in one piece; 2^k FOLD DAL__MARKS */
-    WINDOW = 24,   /* steps of a window near the start; they grow as the root of the steps made */
-    APART = 24,    /* from one window to the next, in windows: 2.8 % of the steps are made more */
+    SHORT = 1000,  /* a run of fewer steps is computed again as a whole */
+    LEAST = 6,     /* runs of fewer steps have no estimate */
+    FOLD = 8,      /* the largest r, and the steps between the first marks */
+    MOST = 8192 * DAL__MARKS, /* of a piece that is computed again; 2^k FOLD DAL__MARKS */
+    WINDOW = 24,   /* steps of the first windows; later ones grow as the root of the step number */
+    APART = 24,    /* distance of windows in windows: 2 % more steps */
     APART_HALVED = 60,
-    LOOKS = 16,    /* at sizes, while the number of steps grows by a factor e */
+    LOOKS = 16,    /* updates of the sizes while the number of steps grows by a factor e */
 };
 static const double SUSPECTED = 0.002, CHANGED = 0.01, TOILED = 2.5;
 static const double CLEAR = 0.01, NEAR = 0.15; /* the error; the difference that shows it */
-static const double GROWN = 10.0;      /* a motion that has left its size since the last window */
-static const double SMALL = 1e-3;      /* a size is at least this part of the largest of its kind */
-static const double RESOLUTION = 1e-9; /* and of the coordinates themselves */
+static const double GROWN = 10.0;      /* growth of the sizes since the last window */
+static const double SMALL = 1e-3;      /* least size, by the largest of the q, or of the v */
+static const double RESOLUTION = 1e-9; /* least size, relative to the largest coordinate */
 
 /* ---- sizes ------------------------------------------------------------------------------ */
 
@@ -52,13 +52,13 @@ static void see(dal__guard *g, size_t n, const double *x)
     }
 }
 
-/* The size of number i of a state: of q the way it has gone, of v the largest. */
+/* The size of entry i of a state: the range of a q, the largest |v|. */
 static double size_of(const dal__guard *g, size_t n, size_t i)
 {
     return i < n ? g->high[i] - g->low[i] : fmax(fabs(g->low[i]), fabs(g->high[i]));
 }
 
-/* The largest of the q, or of the v. */
+/* The largest size among the n entries from `begin` on. */
 static double largest(const dal__guard *g, size_t n, size_t begin)
 {
     double found = 0.0;
@@ -66,7 +66,7 @@ static double largest(const dal__guard *g, size_t n, size_t begin)
     return found;
 }
 
-/* The largest of d[2n], each in units of its size. */
+/* The largest |d_i| of d[2n], relative to the size of entry i. */
 static double measure(const dal__guard *g, size_t n, const double *d)
 {
     double far = 0.0, found = 0.0;
@@ -82,9 +82,9 @@ static double measure(const dal__guard *g, size_t n, const double *d)
     return found;
 }
 
-/* ---- steps that are made again ----------------------------------------------------------- */
+/* ---- steps computed again ---------------------------------------------------------------- */
 
-/* From x at t, for steps number `first` of the run on, `span` of them. */
+/* Start to compute `span` steps again: from x at t, step number `first` of the run. */
 static void start(dal_run *run, double t, const double *x, size_t first, size_t span)
 {
     dal__guard *const g = &run->stepper->guard;
@@ -96,20 +96,20 @@ static void start(dal_run *run, double t, const double *x, size_t first, size_t 
     dal__remake_start(run->stepper, t, g->h, x, g->ratio * g->h);
 }
 
-/* Kept nodes are compared where they were moved to, and have the order that they have there. */
+/* Kept nodes are compared after a shift to the moved nodes, where the scheme has this order. */
 static int order_of(const dal_stepper *stepper)
 {
     const dal_scheme *const scheme = &stepper->scheme;
     return scheme->nodes == DAL_KEPT_NODES && scheme->beta == 0.5 ? 2 : scheme->order;
 }
 
-/* The difference of the two, by the error. */
+/* The ratio of the difference of the two states to the error. */
 static double scale(const dal_run *run)
 {
     return fabs(pow(run->stepper->guard.ratio, order_of(run->stepper)) - 1.0);
 }
 
-/* d[2n] <- the error of the state x, after all of these steps. */
+/* d[2n] <- the estimated error of the state x of the run. */
 static void compare(const dal_run *run, const double *x, double *d)
 {
     const dal_stepper *const stepper = run->stepper;
@@ -121,7 +121,7 @@ static void compare(const dal_run *run, const double *x, double *d)
     if (back != 0.0) dal__add(n, back / by, stepper->motion.x + n, d);
 }
 
-/* For at most so many steps of the run; false if they cannot be made. */
+/* Compute at most `budget` steps of the run again; false if one of them fails. */
 static bool go(dal_run *run, size_t budget)
 {
     dal_stepper *const stepper = run->stepper;
@@ -142,7 +142,7 @@ static bool go(dal_run *run, size_t budget)
         } else if (left >= fold) {
             steps = some > fold ? some / fold : 1;
             some = steps * fold;
-        } else { /* the last steps are those of the run */
+        } else { /* fewer are left than one long step covers */
             if (stepper->motion.h != g->h)
                 dal__remake_start(stepper, g->t + (double)g->at * g->h, g->ratio * g->h,
                                   stepper->motion.x, g->h);
@@ -202,7 +202,7 @@ static void add_window(dal_run *run)
 
 /* ---- the run ---------------------------------------------------------------------------- */
 
-/* From the state now on the steps may be made again in one piece. */
+/* The piece that can be computed again begins at the present state. */
 static void begin_piece(const dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
@@ -214,13 +214,13 @@ static void begin_piece(const dal_run *run)
     g->apart = FOLD;
 }
 
-/* Where it is. */
+/* The step at which the next mark is stored. */
 static size_t next_mark(const dal__guard *g)
 {
     return g->marks * g->apart == MOST ? SIZE_MAX : g->piece + (g->marks + 1) * g->apart;
 }
 
-/* One more state of the piece to compare with; where there is no room every second one goes. */
+/* Store the state as a mark to compare with; if there is no room, drop every second mark. */
 static void set_mark(const dal_run *run)
 {
     dal__guard *const g = &run->stepper->guard;
@@ -292,9 +292,9 @@ void dal__guard_look(dal_run *run)
         see(g, stepper->mech.n, x);
         const size_t apart = (g->next < SIZE_MAX ? 8 : 1) + (here - g->begin) / LOOKS;
         const size_t left = run->steps > here ? run->steps - here : 0;
-        g->seen = here + (left < 2 * LOOKS && apart > 2 ? 2 : apart); /* a motion may grow */
+        g->seen = here + (left < 2 * LOOKS && apart > 2 ? 2 : apart); /* sizes may grow */
     }
-    if (run->events && run->events->landed) { /* the steps before lead elsewhere */
+    if (run->events && run->events->landed) { /* a reset */
         begin_piece(run);
         if (g->open) plan_window(run);
     }
@@ -308,7 +308,7 @@ void dal__guard_look(dal_run *run)
     }
 }
 
-/* Whether the run is to be made again; the estimate by samples is known then. */
+/* Whether the run has to be computed again; sets the estimate by windows. */
 static bool is_suspect(const dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
@@ -325,7 +325,7 @@ static bool is_suspect(const dal_run *run)
         || g->most_effort > TOILED * g->least_effort;
 }
 
-/* The whole piece is made again: its error, and whether that is the estimate. */
+/* Set the error of the piece that was computed again; true if it is accepted. */
 static bool conclude(const dal_run *run, const double *x)
 {
     dal_stepper *const stepper = run->stepper;
@@ -342,7 +342,7 @@ static bool conclude(const dal_run *run, const double *x)
     return told;
 }
 
-/* The r of the first steps that are made again; the next of them. */
+/* The first r for a piece of `span` steps, and the one after `ratio`. */
 static double first_ratio(const dal_run *run, size_t span)
 {
     const int p = order_of(run->stepper);
@@ -352,7 +352,7 @@ static double first_ratio(const dal_run *run, size_t span)
 
 static double next_ratio(double ratio) { return ratio > 2.0 ? 0.5 * ratio : 0.5; }
 
-/* What is compared at an end in a jump of v to new inputs has jumped as well. */
+/* If the run ended in a jump of v to new inputs, apply the same jump before comparing. */
 static bool turn(dal_stepper *stepper)
 {
     dal__copy(stepper->motion.system->def.inputs, stepper->remake.input,

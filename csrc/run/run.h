@@ -48,9 +48,9 @@ int dal__journal_begin(const dal_run *run);
 int dal__journal_look(const dal_run *run, size_t made);
 int dal__journal_pause(const dal_run *run, int status);
 
-/* An estimate of the error (guard.c): at the beginning of a run, or where it is taken up; after how
- * many steps to look next; then; and when the steps are made, for so many of those made again: of
- * which run->checks are left. */
+/* The estimate of the error (guard.c): start it with a run; the number of steps until it needs the
+ * state again; update it there; and finish it after the last step, by at most `budget` steps at a
+ * time, until run->checks is 0. */
 void dal__guard_begin(dal_run *run);
 size_t dal__guard_stop(const dal_run *run);
 void dal__guard_look(dal_run *run);

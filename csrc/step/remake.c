@@ -1,4 +1,4 @@
-/* Steps that are made again with another h, beside the motion: it comes back as it was. */
+/* Compute steps again with another h, and restore the motion afterwards. */
 #include "dalembert/family.h"
 #include "step/step.h"
 
@@ -7,7 +7,7 @@
 int dal__remake_make(dal_stepper *self, dal_error *error)
 {
     dal__remake *const remake = &self->remake;
-    if (dal_stepper_saved(self) == 0) return DAL_SUCCESS; /* it cannot come back */
+    if (dal_stepper_saved(self) == 0) return DAL_SUCCESS; /* the family cannot restore a motion */
     dal__place_reserve(self, &remake->here, &remake->arena);
     dal__place_reserve(self, &remake->there, &remake->arena);
     DAL__RESERVE(&remake->arena, self->motion.system->def.inputs, &remake->input,

@@ -372,7 +372,7 @@ void dal__guard_forget(dal_stepper *stepper)
 
 enum { BETWEEN_LOOKS = 64 };
 
-/* Of the steps since the last look. */
+/* Update the least and the largest number of iterations per step, over 64 steps. */
 static void note_effort(dal_stepper *self)
 {
     dal__guard *const guard = &self->guard;

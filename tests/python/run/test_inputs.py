@@ -858,7 +858,8 @@ def test_rows_where_inputs_change_have_those_of_the_step_that_ended(t0, ahead):
         (x.d**2 + steer.d**2) / 2 - x**2 / 2, [steer.d - rate], inputs=[rate],
         q0=[0, 0], v0=[1, 0.1],
     )  # fmt: skip
-    times = t0 + ahead * np.array([0.1, 0.1 + 1e-13, 0.1 + 1e-9, 0.2, 0.25])
+    times = t0 + ahead * np.array([0.1, 0.1, 0.1 + 1e-13, 0.1 + 1e-9, 0.2, 0.25])
+    times[1] = np.nextafter(times[0], ahead * np.inf)  # by C's rule still the end of the step
     given = {"inputs": [[0.1], [0.9], [0.2]], "t0": t0, "t_end": t0 + 0.3 * ahead}
     for scheme, how in (
         (None, {"h": "auto", "hold": 0.1}), ("midpoint", {"h": 0.1 * ahead}),

@@ -186,7 +186,7 @@ def flags(request, monkeypatch, tmp_path):
     """With and without the vector math library, and by a compiler that passes vectors otherwise."""
     if request.param == "clang":
         if shutil.which("clang") is None:
-            pytest.skip("there is no clang")
+            pytest.skip("clang is not installed; .ci/run installs it")
         monkeypatch.setenv("CC", "clang")
     if request.param == "libm":
         monkeypatch.setenv("DALEMBERT_CACHE", str(tmp_path))
