@@ -70,105 +70,113 @@ def integrate(
     journal_errors: str | None = None,
     check_h: bool | None = None,
 ) -> Solution:
-    """Integrate a system, with steps of one size or of controlled error.
+    """Integrate a system with steps of fixed, error-controlled or reversible size.
 
     Parameters
     ----------
     system : System
     scheme : Scheme, str or float, optional
-        A record, the name of one, or beta.  "reference" is the adaptive flow of the ODE on D,
-        observed every ``h * stride``: the best choice for short accurate runs.  Default: the
-        scheme of order 2 whose steps cost least, "leapfrog", or "midpoint" if the mass matrix
-        depends on q, the constraints are affine or nonlinear, or a force depends on v; with
-        ``h="auto"`` "leapfrog-kl8" or "midpoint-kl8", with ``h="reversible"`` "bm6".
+        A scheme, its name, or beta.  "reference" is the adaptive flow of the ODE on D, observed
+        every ``h * stride``: the best choice for short accurate runs.  Default: the cheapest scheme
+        of order 2.  It is "midpoint" if the mass matrix depends on q, the constraints are affine or
+        nonlinear, or a force depends on v; otherwise "leapfrog".  With ``h="auto"`` it is
+        "midpoint-kl8" or "leapfrog-kl8", with ``h="reversible"`` "bm6".
     q0, v0 : array_like, shape (n,), optional
-        Initial data in the user's units, both; neither: those of the system.
+        Initial data in the user's units; pass both or neither.  Default: the system's initial data.
     h : float, "auto" or "reversible"
-        Step size, negative to integrate backwards; it is never changed.  "auto": each step is as
-        long as the tolerance allows, by an estimate of its error that costs no evaluation, for
-        compositions of moved nodes.  That pays where the motion changes its pace.  "reversible":
-        each step follows the rate of the motion, in a way that is the same back in time, so that
-        the energy of a reversible motion does not drift.  That pays for close approaches over long
-        times, and nowhere else; for symmetric compositions, and systems of constant mass without
-        forces, inputs and time.  A run warns if its energy has changed by more than 1e-6 of the
-        largest kinetic energy because steps were not reversible.
+        Step size; negative to integrate backwards.  A number is never changed.
+
+        "auto": each step is as long as ``tolerance`` allows.  The estimate of its error costs no
+        evaluation.  Requires a composition of moved nodes.  Use it if the time scale of the motion
+        varies.
+
+        "reversible": the step follows the time scale of the motion and is chosen symmetrically in
+        time.  The energy of a reversible system then does not drift.  Use it for repeated close
+        approaches over long times only.  Requires a symmetric composition and constant mass,
+        without forces, inputs or dependence on time.  The run warns if irreversible steps changed
+        the energy by more than 1e-6 of the largest kinetic energy.
     t_end : float
-        End of the run; ``(t_end - t0) / h`` has to be an integer to 1e-9 of it.  The last of steps
-        of many sizes ends there, to the bit.
+        End time.  ``(t_end - t0) / h`` has to be an integer, to a relative 1e-9.  If h is a word,
+        the last step ends exactly at t_end.
     steps : int
-        Number of steps, 0 is allowed.  Exactly one of t_end and steps is given; t_end where h is
-        a word.
+        Number of steps, 0 is allowed.  Pass exactly one of t_end and steps; t_end if h is a word.
     t0 : float, optional
         Initial time.
     stride : int, optional
-        Every stride-th state is stored; default 1.  The number of steps is a multiple of it; where
-        h is a word the last state is stored in any case.
+        Store every stride-th state; default 1.  The number of steps has to be a multiple of it.  If
+        h is a word, the last state is always stored.
     consistent : {"check", "project", "assume"}, optional
-        Initial data that are not in D are refused, projected in the mass metric, or used.
+        The treatment of a v0 that violates the constraint: raise an error (default), project it in
+        the mass metric, or use it unchanged.
     initial : {"D", "D_eps", "project", "shift"}, optional
-        Needed for kept nodes, and only there.  "D": the data lie in D and are used as they are,
-        the first step jumps to D_eps.  "D_eps": they lie in D_eps.  "project": the velocity is
-        projected from D onto D_eps.  "shift": q is moved to the node q + (1 - beta) h v, so that
-        the run is that of the moved nodes, seen at the nodes.
+        The meaning of the initial data; required for kept nodes, and allowed only there.  "D": the
+        data lie in D and are used unchanged; the first step jumps to D_eps.  "D_eps": the data lie
+        in D_eps.  "project": project the velocity from D onto D_eps.  "shift": move q to the node q
+        + (1 - beta) h v.  The run is then that of the moved nodes, observed at the nodes.
     observer : callable, optional
-        ``observer(step, t, q, v)`` is called at every stride-th state; true stops the run.
+        ``observer(step, t, q, v)`` is called at every stored state; a true result stops the run.
     progress : bool or callable, optional
-        True: a bar of tqdm.  A function is called as ``progress(done, total)``, some times a
-        second, with numbers of steps; where h is a word with times that have passed.  While h is
-        checked the total grows by the steps that are made again.
+        True: show a tqdm bar.  A function is called as ``progress(done, total)`` several times a
+        second, with numbers of steps, or with times if h is a word.  While h is checked the total
+        includes the repeated steps.
     throw : bool, optional
-        False: a step that fails ends the run, and the Solution says so, instead of an exception.
+        False: if a step fails, return the states so far instead of raising; ``status`` and
+        ``message`` of the Solution have the error.
     max_iterations : int, optional
-        Largest number of full Newton iterations in a sub-step; default 50.  Not of "reference".
+        Largest number of full Newton iterations in a sub-step; default 50.  Not for "reference".
     energy : {"keep"}, optional
-        Each step keeps the energy to roundoff, by a scaling of the velocity before and after it,
-        which stays in D.  It costs twice as much, and steps of h/2 without it lead nearer to the
-        motion: it is for those who want the energy itself, over long times.  For symmetric schemes
-        (leapfrog, midpoint and their compositions, bm4, bm6), constraints linear in v, and systems
-        without forces or time.
+        "keep": conserve the energy to roundoff by scaling the velocity before and after each step,
+        within D.  A run takes twice as long.  Steps of h/2 without it are closer to the exact
+        motion, so use it only if the energy itself matters over long times.  Requires a symmetric
+        scheme (leapfrog, midpoint, their compositions, bm4, bm6), constraints linear in v, and a
+        system without forces or dependence on time.
     method : {"rk8pd", "msadams", "rodas", "taylor"}, optional
-        Of the reference flow; default "rk8pd".  "taylor": by Taylor series, of systems from
-        expressions, for which heyoka compiles them (``pip install heyoka``); without events, inputs
-        and journal.
+        Method of the reference flow; default "rk8pd".  "taylor" uses Taylor series, which heyoka
+        compiles (``pip install heyoka``).  It requires a system from expressions, without events,
+        inputs or journal.
     tolerance : float, optional
-        Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1];
-        default 1e-13.  Of "auto", what the error of the state may be after a time of about 100,
-        relative to ``1 + abs(x_i)``, where the motion is not chaotic; default 1e-9.
+        For "reference": relative and absolute tolerance of each step, in [4.4e-16, 0.1]; default
+        1e-13.  For "auto": the admissible error of the state at t = 100, relative to
+        ``1 + abs(x_i)``, if the motion is not chaotic; default 1e-9.
     h_max : float, optional
-        The longest step of "auto".
+        For "auto": the longest step.
     eps : float, optional
-        Step of "reversible", in units of the time in which the motion changes; at most 0.2.
-        Default: that of the scheme, 0.13 for bm6.
+        For "reversible": the step in units of the time scale of the motion, at most 0.2.  Default:
+        the value of the scheme, 0.13 for bm6.
     inputs : array_like, mapping or callable, optional
-        Of a system that takes k of them, constant over a step.  An array, shape
-        (steps, k), or (k,) for all steps; a mapping from their names to numbers or arrays of shape
-        (steps,); or a controller ``inputs(t, q, v) -> (k,)``, called where the steps begin; or a
-        mapping to expressions of time, coordinates, velocities and parameters, ``{tau: -K * x}``,
-        which are compiled and evaluated there.  Default: 0.  They come back as ``run.inputs``.
-        Where constraints depend on them, v0 has to satisfy these with the first inputs, and a
-        change moves the velocity into the new D, as an impact does.
+        Inputs of a system that has k of them, constant over a step.  Default: 0.  ``run.inputs``
+        returns them.
+
+        - An array of shape (steps, k), or (k,) for all steps.
+        - A mapping from names to numbers or arrays of shape (steps,).
+        - A controller ``inputs(t, q, v) -> (k,)``, called at the beginning of each hold.
+        - A mapping from names to expressions of time, coordinates, velocities and parameters,
+          ``{tau: -K * x}``.  They are compiled, and evaluated like a controller.
+
+        If the constraints depend on inputs, v0 has to satisfy them with the first inputs.  A change
+        of the inputs then moves the velocity into the new D, as an impact does.
     hold : int or float, optional
-        Each row of inputs is for so many steps: an array then has ceil(steps / hold) rows.
-        Default: 1.  With "auto" for so long a time, and steps end where the inputs change: an array
-        has ceil((t_end - t0) / hold) rows.  Default: the whole run.
+        Number of steps for which a row of inputs applies; default 1.  An array has ceil(steps /
+        hold) rows.  With "auto", hold is a time, and steps end when the inputs change.  An array
+        then has ceil((t_end - t0) / hold) rows; default: one row for the whole run.
     events : sequence, optional
-        Functions ``g(t, q, v)``, expressions, or `Event`: where they change their sign.  Functions
-        may have the attributes ``terminal``, ``direction``, ``reset`` and ``consistent``.
+        Events: functions ``g(t, q, v)``, expressions, or `Event`.  An event happens when g changes
+        sign.  Functions may have the attributes ``terminal``, ``direction``, ``reset`` and
+        ``consistent``.
     t_eval : array_like, shape (N,), optional
-        Times of the states that are stored, in the order of the run, instead of every stride-th
-        one: found by steps of the scheme, so that they have its order and lie in the set that it
-        keeps.
+        Times at which states are stored, in the order of the run, instead of every stride-th state.
+        Steps of the scheme lead to these states: they have its order and lie in the set that it
+        preserves.
     journal : str or path, optional
-        A new file that gets all that the run stores, some times a second, and every five seconds
-        what the rest of the run depends on: whatever ends the process, `load` reads what there is
-        and `resume` goes on, bit for bit.
+        A new file for the results.  Stored states are written several times a second, and every
+        five seconds a snapshot.  After a crash, `load` returns the states in the file, and `resume`
+        continues the run with bitwise identical results.
     journal_errors : {"warn", "stop"}, optional
-        What a full disk, or a file that vanishes, does: the run goes on without the journal, which
-        is the default, or ends with a `JournalError`.
+        The response if the journal cannot be written, for example on a full disk: continue without
+        it and warn (default), or raise `JournalError`.
     check_h : bool, optional
-        True, which is the default for steps of one size: the error of the last state is estimated,
-        and a warning says if h is too large.  False is for statistics of a chaotic motion, whose
-        error is always large.
+        True (default for steps of fixed size): estimate the error of the last state, and warn if h
+        is too large.  Use False for statistics of a chaotic motion, whose error is always large.
 
     Returns
     -------
@@ -177,37 +185,42 @@ def integrate(
     Raises
     ------
     ValueError
-        If an argument is out of range, or an option has no effect on this kind of run; the text
-        names it, its value, and what was expected.
+        If an argument is out of range, or does not apply to this kind of run.  The message has its
+        name, its value and the expected values.
     MemoryError
-        If the states would not fit into the memory of this machine; nothing was allocated.
+        If the states do not fit in memory; nothing was allocated.
     NotOnConstraintError
-        If the initial data are not in D; the text names the residual.
+        If the initial data are not in D; the message has the residual.
     SingularError, ConvergenceError, DomainError
-        If a step failed; ``.step``, ``.t`` and ``.partial``, a Solution, say how far it came.
+        If a step failed.  ``.step`` and ``.t`` locate it; ``.partial`` is a Solution with the
+        states so far.
     JournalError
-        If the journal cannot be made; or written, with ``journal_errors="stop"``.
+        If the journal cannot be created, or, with ``journal_errors="stop"``, written.
     ZenoError
         If events accumulate, or the system rests on one after its reset.
     NotImplementedError
-        If the system, or the scheme, cannot have its energy kept.
+        If the system or the scheme does not support an option, such as ``energy="keep"``.
     Exception
-        Whatever the observer or a function of the system raises, as it is; Ctrl-C likewise.
+        Any exception raised by the observer or by a function of the system, and KeyboardInterrupt.
         They have ``.partial`` too.
 
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: q0, or the end of the run, is off a position constraint; h is
-        too large; the energy has jumped where nothing does work, or was not
-        kept where it was to be, or many steps
-        took the full Newton iteration, so that h is large for this system, or its constraints are
-        nearly dependent; or if it cannot be told whether an event happens; or if the journal could
-        not be written to the end.
+        If the result is doubtful:
+
+        - q0, or the end of the run, violates a position constraint;
+        - h is too large, or the energy jumped although nothing does work;
+        - the energy was not kept in some steps of ``energy="keep"``;
+        - many steps needed the full Newton iteration, so h is large for this system, or its
+          constraints are nearly dependent;
+        - the constraints nearly lost rank, or steps shrank to a tiny part of their usual size;
+        - it cannot be decided whether an event happened;
+        - the journal was not written to the end.
 
     Notes
     -----
-    C runs without the lock of the interpreter; threads may run on the same system.
+    C code runs without the interpreter's lock; several threads may run the same system.
 
     Examples
     --------
@@ -295,24 +308,24 @@ def resume(
     journal_errors: str | None = None,
     check_h: bool | None = None,
 ) -> Solution:
-    """Go on with a run from its journal: bit for bit the run that was never stopped.
+    """Resume a run from its journal; the result is bitwise identical to an uninterrupted run.
 
-    Its scheme, step size and output times are those of the journal.  What is a function is given
-    again.  States behind the last snapshot are computed again and compared with the journal.
+    Scheme, step size and output times are those of the journal.  Pass functions again.  States
+    after the last snapshot are computed again and compared with the journal.
 
     Parameters
     ----------
     path : str or path
         The journal.
     system : System, optional
-        That of the run; not needed for one that comes with the library.
+        The system of the run; not needed if it comes with the library.
     t_end, steps : float, int, optional
-        End of the whole run, or its number of steps, if it is to be another one.
+        A new end time of the whole run, or a new number of its steps.
     scheme : Scheme, optional
-        That of the run; needed if it is no scheme of the library.
+        The scheme of the run; required if it is not a scheme of the library.
     observer, progress, throw, inputs, events, journal_errors, check_h : optional
-        As of `integrate`; inputs and events of the whole run, if it has any; the expressions of
-        inputs have to be the same.
+        As for `integrate`.  Pass the inputs and events of the whole run again, if it has any.  The
+        expressions of inputs have to be the same.
 
     Returns
     -------
@@ -322,19 +335,19 @@ def resume(
     Raises
     ------
     ValueError
-        If the file is no journal, is written by another process, or is of another system, inputs,
-        events or scheme; the text says which.
+        If the file is not a journal, or another process is writing it.  Also if the system, inputs,
+        events or scheme differ from those of the journal.  The message says which.
     JournalError
-        If it cannot be read.
+        If the file cannot be read.
     NotImplementedError
-        If it is so damaged that there is nothing to go on with; `load` may read states of it.
+        If no snapshot in the file is intact; `load` may still read states.
     SingularError, ConvergenceError, DomainError, ZenoError, Exception
-        As `integrate`.
+        As for `integrate`.
 
     Warns
     -----
     DalembertWarning
-        As `integrate`; and if the end of the file was damaged, and cut off.
+        As for `integrate`, and if the end of the file was damaged and has been cut off.
 
     Examples
     --------
@@ -379,7 +392,7 @@ def resume(
 def _make(
     begin: Callable[[Run], None], progress: Progress, throw: bool, *of: Any, **how: Any
 ) -> Solution:
-    """Return what a `Run` of these arguments has made, or raise what ended it, with that."""
+    """Return the solution of a `Run`, or raise its error with the solution so far."""
     with extras.progress(progress, *how["steps"].progress) as show:
         made = SeriesRun if of[1].is_series else Run
         run = made(*of, show=show, **how)
@@ -403,7 +416,7 @@ def _make(
 
 
 def with_method(record: Scheme, method: str | None, tolerance: float | None) -> Scheme:
-    """Return a scheme; "reference" with this method and tolerance, unless it has its own."""
+    """Return the scheme; "reference" gets this method and tolerance."""
     given = {"method": method, "tolerance": tolerance}
     flow = Scheme.flow(**{name: x for name, x in given.items() if x is not None})
     if record == Scheme.find("reference"):
@@ -417,7 +430,7 @@ def with_method(record: Scheme, method: str | None, tolerance: float | None) -> 
 
 
 def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
-    """Refuse a run whose arrays do not fit, before anything is allocated."""
+    """Raise MemoryError if the arrays of a run do not fit, before any allocation."""
     size = 8 * ((rows + 1) * (2 * system.n + 1) + rows * system.m)
     memory = available_memory() if size > 2**24 else sys.maxsize  # which takes a while to ask
     if size > memory:
@@ -429,7 +442,7 @@ def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
 
 
 def _times(given: ArrayLike, steps: Steps) -> Array:
-    """Return t_eval; ValueError for times that are not in the run, or not in its order."""
+    """Return t_eval; raise ValueError for times outside the run or out of order."""
     times = np.ascontiguousarray(arguments.array(given, "t_eval", (None,)))
     t0, end = steps.t0, steps.t_end
     if len(times) == 0:
@@ -449,7 +462,7 @@ def _times(given: ArrayLike, steps: Steps) -> Array:
 
 
 class _Quiet(threading.local):
-    """Where warnings of this thread go instead."""
+    """The list that collects the warnings of this thread, or None."""
 
     warned: list[str] | None = None
 
@@ -459,7 +472,7 @@ _quiet = _Quiet()
 
 @contextlib.contextmanager
 def quietly() -> Iterator[list[str]]:
-    """Give a list that gets what runs of this thread would have warned of."""
+    """Collect the warnings of runs in this thread in a list instead of issuing them."""
     before, _quiet.warned = _quiet.warned, []
     try:
         yield _quiet.warned
@@ -468,7 +481,7 @@ def quietly() -> Iterator[list[str]]:
 
 
 def _warn(solution: Solution, watch: Watch | None = None) -> None:
-    """Warn where a run that went through is doubtful."""
+    """Warn of doubts about a run that ended without error."""
     for doubt in itertools.chain(doubts(solution), watch.doubts() if watch else ()):
         _say(doubt, 5)
 
@@ -481,7 +494,7 @@ def _say(doubt: str, stacklevel: int) -> None:
 
 
 def doubt_positions(system: System, x: Array, t: float, consistency: int = lib.DAL_CHECK) -> None:
-    """Warn of initial data off a position constraint, unless they are assumed to be right."""
+    """Warn of initial data that violate a position constraint, unless assumed consistent."""
     if consistency != lib.DAL_ASSUME and (off := system.off_positions(x[: system.n], t)):
         _say(
             f"q0 is off a position constraint, and the motion stays off it: {off}; change q0, or "
@@ -490,7 +503,7 @@ def doubt_positions(system: System, x: Array, t: float, consistency: int = lib.D
 
 
 def _warn_of_drift(solution: Solution) -> None:
-    """Warn where a run has left a position constraint on which it began."""
+    """Warn if a run has drifted off a position constraint that its initial data satisfied."""
     system, q, t = solution.system, solution.q, solution.t
     if not system.off_positions(q[0], t[0]) and (off := system.off_positions(q[-1], t[-1])):
         _say(
@@ -504,7 +517,7 @@ LARGE_ERROR = 0.05  # of the last state, relative to its size
 
 
 def _at(solution: Any) -> str:
-    """Return when the step was after which the energy had jumped, where it is known."""
+    """Return a text with the time of the step after which the energy jumped, and its size."""
     if solution.control:
         return f" ({solution._how})"
     t = solution.t0 + solution.stats.jump_step * solution.h
@@ -516,9 +529,10 @@ DRIFT = 1e-6  # of the energy, in units of the largest kinetic energy
 
 
 def _drift(solution: Any) -> float:
-    """Return the largest change of the energy of reversible steps, or 0 if it comes and goes.
+    """Return the largest lasting change of the energy of reversible steps; 0 if it only oscillates.
 
-    A change of 1e-14 of the potential energy is roundoff, and what resets change is not counted.
+    The unit is the largest kinetic energy.  Changes of 1e-14 of the potential energy are roundoff;
+    changes at resets are not counted.
     """
     system, v, E = solution.system, solution.v, solution.energy.copy()
     for times, before, after in zip(solution.t_events, solution.x_events, solution.x_after):
@@ -534,7 +548,7 @@ def _drift(solution: Any) -> float:
 
 
 def doubts(solution: Any) -> Iterator[str]:
-    """Yield why a run that went through is doubtful, as far as its statistics tell."""
+    """Yield the doubts that the statistics raise about a run that ended without error."""
     system, stats = solution.system, vars(solution).get("_counts") or solution.stats
     bound = core.residual_bound(system.n)
     if stats.worst_residual > bound:

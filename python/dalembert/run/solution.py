@@ -1,4 +1,4 @@
-"""What a run returns: its states, and what is computed from them when it is asked for."""
+"""The result of a run: states, and quantities computed from them on first use."""
 
 from __future__ import annotations
 
@@ -20,66 +20,69 @@ from .steps import how
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a run has cost.
+    """Counters and diagnostics of a run.
 
     Attributes
     ----------
     steps, substeps : int
-        Steps made, and systems of equations solved in them.
+        Number of steps, and of systems of equations solved in them.
     iterations : int
         Newton iterations.
     constraint_calls, potential_calls, lagrangian_calls, force_calls : int
         Calls of the system's functions.
     corrections : int
-        Final corrections onto D that took an evaluation of their own.
+        Final corrections onto D that took an additional evaluation.
     rejected : int
-        Error-controlled or reversible steps that were made again, shorter.
+        Error-controlled or reversible steps that were repeated with a shorter step.
     uncontrolled : int
-        Those that are longer than the tolerance allows, as their estimated error is roundoff.
+        Error-controlled steps longer than the tolerance allows, as the estimate of their error is
+        roundoff.
     scaled, unscaled : int
-        Steps whose energy was kept by scaled velocities, which made them again; and those where it
-        could not be kept so, and was not.
+        Steps repeated with scaled velocities to keep the energy; steps for which this was not
+        possible, so that the energy changed.
     resets : int
-        Steps of "reversible" that are not: the rate of the motion changed too fast for them.
+        Irreversible steps of "reversible", in which the time scale of the motion changed too fast.
     full_newtons : int
-        Sub-steps solved by the full Newton iteration: all of a general system, and those that
-        needed the Hessian of V.
+        Sub-steps solved by the full Newton iteration: all sub-steps of a general system; otherwise
+        those that needed the Hessian of V.
     halvings : int
         Newton steps halved because a function left its domain.
     worst_residual : float
-        Largest relative residual of the kept set after a step.
+        Largest relative residual, after any step, of the set that the scheme preserves.
     initial_residual, initial_correction : float
-        Relative residual of the initial data, and how far they were moved in the mass metric.
+        Relative residual of the initial data, and the distance by which they were moved, in the
+        mass metric.
     differenced : tuple of str
         Derivatives that were replaced by central differences.
     evaluations : int
-        Of the vector field, by the reference flow.
+        Evaluations of the vector field by the reference flow.
     jump_step, jump, largest_kinetic : int, float, float
-        The step after which the energy was first seen to have changed, by ``jump``, by more than
-        half of the largest kinetic energy; 0 if it was not. What scaled velocities have undone
-        counts as a change. Looked at in every 64th step and at
-        the end, where nothing does work and the scheme is not of order 1.
+        The first step at which the energy was found changed by more than half of the largest
+        kinetic energy, the change, and that kinetic energy.  The step is 0 if there is none.
+        Changes undone by ``energy="keep"`` count.  The energy is checked every 64 steps and at the
+        end.  No check if something does work, or the scheme is of order 1.
     least_pivot, least_pivot_t : float
         Least pivot of C = mu M^-1 mu^T, relative to the largest pivot of the same row so far, and
-        its time. 1 if no pivot became smaller. A pivot near 0 means that the constraints lose
-        rank there, as at the dead centre of a linkage.
+        its time.  It is 1 if no pivot became smaller.  A pivot near 0 means that the constraints
+        lose rank there, as at the dead centre of a linkage.
     least_pivot_rows : tuple of int
-        The constraints that it belongs to, by number; empty if they are not known.
+        Numbers of the constraints that contribute to this pivot; empty if unknown.
     rank_doubts : int
-        How often a pivot was so small that the errors of the steps may choose the branch that the
-        motion follows.
+        Number of checks at which a pivot was so small that numerical errors may decide which branch
+        the motion follows.
     least_step, least_step_t : float
-        Shortest step of steps that choose their size, relative to the mean of the steps before it,
-        and its time. 1 for steps of one size.
+        Shortest step of a run with variable steps, relative to the mean of the steps before it, and
+        its time.  It is 1 for steps of fixed size.
     error : float
-        About how large the error of the last state is, relative to its size: of each q the way that
-        it has gone, of each v its largest value.  nan: there is no estimate.  inf: steps of h / 2
-        cannot be made, and there is reason to doubt those of h.
+        Approximate error of the last state, relative to its size.  The size is the distance
+        travelled for each q, and the largest value for each v.  The value is nan if there is no
+        estimate.  It is inf if steps of h / 2 failed and the steps of h are suspect.
     remade : int
-        Steps of another size that were made beside those of the run, for this estimate.
+        Steps of another size that were taken for this estimate.
     whole : int
-        1: the whole run was made again, or its first 131072 steps, or what follows its last reset.
-        0: samples of it were, and their errors are added up, which is mostly more than the error.
+        1 if the estimate repeats the whole run, its first 131072 steps, or the part after its last
+        reset.  If 0, it repeats samples and adds up their errors; the sum usually exceeds the
+        error.
     """
 
     steps: int = 0
@@ -117,7 +120,7 @@ class Statistics:
 
     @classmethod
     def _of(cls, counts: Any, kind: str) -> Statistics:
-        """Return the statistics of a ``dal_stats``."""
+        """Return the statistics in a ``dal_stats``."""
         differenced = functions.differenced(counts.differenced, kind) if counts.differenced else ()
         self = cls.__new__(cls)  # whose __init__ takes as long again
         rows = _rows_of(counts.least_pivot_rows)
@@ -128,19 +131,19 @@ class Statistics:
 
 
 def counts_of(stepper: Any) -> Any:
-    """Return the ``dal_stats`` of what a stepper has done so far."""
+    """Return the ``dal_stats`` of a stepper."""
     counts = ffi.new("dal_stats *")
     lib.dal_stepper_stats(stepper, counts)
     return counts
 
 
 def _rows_of(given: Any) -> tuple[int, ...]:
-    """Return the rows that C gives as the sum of their powers of 2."""
+    """Return the rows that C encodes as a sum of powers of 2."""
     return given if isinstance(given, tuple) else tuple(a for a in range(52) if int(given) >> a & 1)
 
 
 def rank_doubt(stats: Any) -> str:
-    """Return where the constraints nearly lose rank, in words."""
+    """Return a message that says where the constraints nearly lose rank."""
     rows = [f"constraints[{a}]" for a in _rows_of(stats.least_pivot_rows)] or ["the constraints"]
     return (
         f"near t = {stats.least_pivot_t:g} {' and '.join(rows)} nearly lost rank: the least pivot "
@@ -151,7 +154,7 @@ def rank_doubt(stats: Any) -> str:
 
 
 class _Counted:
-    """The statistics of a run, made when they are asked for first, as most are not."""
+    """The statistics of a run, created on first use."""
 
     def __get__(self, run: Any, owner: Any) -> Statistics:
         if run is None or run._counts is None:
@@ -162,15 +165,15 @@ class _Counted:
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """States between the stored ones of a run.
+    """States of a run at times between the stored ones.
 
     Attributes
     ----------
     t : float or ndarray, shape (N,)
     q, v : ndarray, shape (n,) or (N, n)
     chart_changes : int
-        How often the dependent coordinates in which the run was interpolated changed from one of
-        these states to the next.
+        Number of changes, from one of these states to the next, of the dependent coordinates used
+        in the interpolation.
     """
 
     t: Any
@@ -181,69 +184,68 @@ class States:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Solution(Mapping[str, Any]):
-    """A run: states, and what is computed from them when it is asked for.
+    """The result of a run: states, and quantities computed from them on first use.
 
-    Arrays, numbers and texts are keys as well as attributes, so that ``np.savez(file, **run)``
-    writes them; ``len`` is the number of keys, as for any mapping.  A run does not change: its
-    arrays are read-only, ``run.q.copy()`` may be written to.
+    A solution is also a mapping of its arrays, numbers and texts, so ``np.savez(file, **run)``
+    writes them, and ``len`` is the number of keys.  Its arrays are read-only; modify a copy such as
+    ``run.q.copy()``.
 
     Attributes
     ----------
     t : ndarray, shape (N+1,)
-        Times ``t0 + k * h * stride``, in the user's units; those of ``t_eval`` where it was given,
-        and of the steps where each has its own size; and at the end that of the terminal event,
-        where one has ended the run.
+        Times of the states, in the user's units: ``t0 + k * h * stride``, or ``t_eval`` if given,
+        or the times of the stored steps if their size varies.  If a terminal event ended the run,
+        the last time is that of the event.
     q, v : ndarray, shape (N+1, n)
         Views of ``x``.
     x : ndarray, shape (N+1, 2n)
-        The states (q, v), the very buffer that the core wrote.
+        The states (q, v), without a copy of the array written by C.
     y : ndarray, shape (2n, N+1)
-        ``x`` transposed, a view, as SciPy has it.
+        ``x`` transposed, a view, as in SciPy.
     multipliers : ndarray, shape (N+1, m)
-        lambda(q, v) by the formula at the stored states: forces.  A jump of the velocity, where
-        inputs of constraints change, is not in them.
+        The forces lambda(q, v) at the stored states, by their formula.  They do not include jumps
+        of the velocity at changes of the inputs of constraints.
     reactions : ndarray, shape (N, m)
         The scheme's own multipliers: mean forces over the intervals between stored states,
-        belonging to their middles, with the impulses of jumps.  NaN for the reference flow, which
-        has none, and where the states are those of ``t_eval``.
+        including the impulses of jumps.  Each belongs to the middle of its interval.  NaN for the
+        reference flow, which has none, and with ``t_eval``.
     energy : ndarray, shape (N+1,)
     constraint : ndarray, shape (N+1, m)
         phi(q, v), which is mu(q) v for linear constraints.
     residual : ndarray, shape (N+1,)
-        Relative residual, as `System.relative_residual`, of the set that the scheme keeps: D for
-        moved nodes, D_eps (phi at q - shift v) for kept ones.
+        Relative residual (see `System.relative_residual`) of the set that the scheme preserves: D
+        for moved nodes, D_eps (phi at q - shift v) for kept nodes.
     inputs : ndarray, shape (holds, k)
-        Row i over the steps i * hold, ..., (i + 1) * hold - 1; no rows if none were given, and the
-        inputs are 0.  The multipliers of a state are those with the inputs that begin there; if
-        constraints depend on inputs, multipliers and residual have those of the step that ended
-        there.
-    hold : int
+        Row i applies to the steps i * hold, ..., (i + 1) * hold - 1. No rows: the inputs are 0.
+        The multipliers of a state use the inputs of the step that begins there.  If constraints
+        depend on inputs, multipliers and residual use the inputs of the step that ended there.
     t_events : tuple of ndarray, shape (K,)
-        For each event the times at which it happened.
+        The times of each event.
     q_events, v_events : tuple of ndarray, shape (K, n)
-        The states there, in D; before a reset.
+        The states at these times, in D, before a reset.
     q_after, v_after : tuple of ndarray, shape (K, n)
-        Those after the reset, NaN where there was none.
+        The states after the reset, NaN if there was none.
     system : System
     scheme : Scheme
     h : float
-        Step size; between stored states lie ``stride`` steps.  NaN where each step has its own.
+        Step size; there are ``stride`` steps between stored states.  NaN if the step size varies.
     control : dict
-        What has chosen the sizes of the steps, as ``{"h": "auto", "tolerance": 1e-9}``; empty for
-        steps of one size.
+        The control of the step size, such as ``{"h": "auto", "tolerance": 1e-9}``; empty for steps
+        of fixed size.
     hold : float
-        For how many steps a row of ``inputs`` is, or how long where steps have their own sizes.
+        Number of steps for which a row of ``inputs`` applies; a time if the step size varies.
     stride : int
     nodes : {"moved", "kept"}
     shift : float
         0 for moved nodes, (1 - beta) h for kept ones.
     stats : Statistics
     success : bool
-        True unless a step failed; stopped by an observer or an event is a success.
+        True unless a step failed.  A run stopped by an observer or an event is a success.
     status : int
-        ``dal_status`` of the C library: 0, 1 if an observer or an event stopped the run, or
-        negative.
+        ``dal_status`` of the C library: 0 for success, 1 if an observer or an event stopped the
+        run, negative if a step failed.
     message : str
+        The end of the run in words.
 
     Examples
     --------
@@ -280,9 +282,9 @@ class Solution(Mapping[str, Any]):
 
     @classmethod
     def _made(cls, **given: Any) -> Solution:
-        """Return the solution of a run of this library, whose arrays are as they have to be.
+        """Return the solution of a run by this library, without checks of its arrays.
 
-        It has a control, and stats or _counts.
+        ``given`` has control, and stats or _counts.
         """
         self = cls.__new__(cls)
         self.__dict__.update(given, _computed={})
@@ -338,12 +340,12 @@ class Solution(Mapping[str, Any]):
 
     @property
     def nodes(self) -> str:
-        """Which nodes the scheme has: "moved" or "kept"."""
+        """The nodes of the scheme: "moved" or "kept"."""
         return self.scheme.nodes
 
     @property
     def shift(self) -> float:
-        """0 for moved nodes, (1 - beta) h for kept ones."""
+        """0 for moved nodes, (1 - beta) h for kept nodes."""
         return self.scheme.shift(self.h) if self.nodes == "kept" else 0.0
 
     @property
@@ -365,22 +367,22 @@ class Solution(Mapping[str, Any]):
 
     @property
     def q_events(self) -> tuple[Array, ...]:
-        """Coordinates at the events, for each of them, shape (K, n)."""
+        """Coordinates at each event, shape (K, n)."""
         return tuple(x[:, : self.system.n] for x in self.x_events)
 
     @property
     def v_events(self) -> tuple[Array, ...]:
-        """Velocities at the events, for each of them, before a reset, shape (K, n)."""
+        """Velocities at each event, before a reset, shape (K, n)."""
         return tuple(x[:, self.system.n :] for x in self.x_events)
 
     @property
     def q_after(self) -> tuple[Array, ...]:
-        """Coordinates after the resets of the events, for each of them, shape (K, n)."""
+        """Coordinates after the resets of each event, shape (K, n)."""
         return tuple(x[:, : self.system.n] for x in self.x_after)
 
     @property
     def v_after(self) -> tuple[Array, ...]:
-        """Velocities after the resets of the events, for each of them, shape (K, n)."""
+        """Velocities after the resets of each event, shape (K, n)."""
         return tuple(x[:, self.system.n :] for x in self.x_after)
 
     @property
@@ -390,7 +392,7 @@ class Solution(Mapping[str, Any]):
 
     @property
     def multipliers(self) -> Array:
-        """lambda(q, v) by the formula, shape (N+1, m)."""
+        """lambda(q, v) by its formula, shape (N+1, m)."""
         return self._evaluate("multipliers", "multipliers")
 
     @property
@@ -400,12 +402,12 @@ class Solution(Mapping[str, Any]):
 
     @property
     def constraint(self) -> Array:
-        """mu(q) v, shape (N+1, m)."""
+        """The constraint phi(q, v), shape (N+1, m)."""
         return self._evaluate("constraint", "residual")
 
     @property
     def residual(self) -> Array:
-        """Relative residual of the set that the scheme keeps, shape (N+1,)."""
+        """Relative residual of the set that the scheme preserves, shape (N+1,)."""
         return self._evaluate("residual", "relative", self.shift)
 
     def _evaluate(self, name: str, output: str, shift: float = 0.0) -> Array:
@@ -421,9 +423,9 @@ class Solution(Mapping[str, Any]):
         )
 
     def _inputs_of_rows(self) -> Array:
-        """Return the inputs that belong to each stored state.
+        """Return the inputs for each stored state.
 
-        They are those that begin, or continue, there.  If constraints depend on inputs they are
+        They are the inputs of the step that begins there.  If constraints depend on inputs they are
         those of the step that ended there, which the velocity satisfies.
         """
         if self.system.is_driven:
@@ -448,15 +450,16 @@ class Solution(Mapping[str, Any]):
         return self._rows_of_inputs(rows.clip(0))
 
     def _inputs_at(self, times: Array) -> Array:
-        """Return the inputs that begin, or go on, at times."""
+        """Return the inputs of the steps that begin, or continue, at the given times."""
         nearest, side = self._in_spans(times)
         rows = nearest - (side < 0)
         return self._rows_of_inputs(rows if self.control else rows // int(self.hold))
 
     def _in_spans(self, times: Array) -> tuple[NDArray[np.int_], Array]:
-        """Return which of the times where steps, or rows of inputs, begin is nearest, and the side.
+        """Return the number of the nearest time at which a step or a row of inputs begins, and the
+        side.
 
-        0 is within rounding, as for C, for which an output time there belongs to the step before.
+        Side 0 means within rounding; C assigns an output time there to the step before.
         """
         size = self.h
         if self.control and self.times is not None:  # rows of inputs are as steps of others
@@ -468,16 +471,16 @@ class Solution(Mapping[str, Any]):
         return nearest.astype(int), np.where(np.abs(off) <= rounding, 0.0, np.sign(off))
 
     def _rows_of_inputs(self, rows: NDArray[np.int_]) -> Array:
-        """Return the inputs of these rows; what follows the last is that."""
+        """Return the inputs of these rows; the last row applies to all later ones."""
         assert self.inputs is not None
         if len(self.inputs) == 0:
             return np.zeros((len(rows), len(self.system.inputs)))
         return self.inputs[np.minimum(rows, len(self.inputs) - 1)]
 
     def _once(self, name: str, compute: Callable[[], Array]) -> Array:
-        """Compute an array when it is asked for first.
+        """Compute an array on first use.
 
-        Without a lock, which a fork would leave locked: of two threads the first to end wins.
+        There is no lock, which a fork would leave locked: the first of two threads to end wins.
         """
         if name not in self._computed:
             self._computed.setdefault(name, compute())
@@ -485,16 +488,16 @@ class Solution(Mapping[str, Any]):
         return self._computed[name]
 
     def __call__(self, t: ArrayLike) -> States:
-        """Return the states at times between the stored ones, in the set that the scheme keeps.
+        """Return the states at times between the stored ones, in the set that the scheme preserves.
 
-        The positions and the velocities of independent coordinates are interpolated by
-        polynomials, the other velocities follow from the constraint.  So the states lie in D, or
-        in D_eps for kept nodes, to roundoff; their error has the order of the scheme, up to 4 in
-        the distance of the stored states.  A stored state comes back as it is.
+        Positions and velocities of independent coordinates are interpolated by polynomials; the
+        constraint determines the other velocities.  So the states lie in D, or in D_eps for kept
+        nodes, to roundoff.  With respect to the distance of the stored states, their error has the
+        order of the scheme, up to 4.  A stored state is returned unchanged.
 
-        Where each step has its own size, or there are inputs, the states are those of steps of the
-        scheme from the stored state before: they have the error of the run, and each costs a step,
-        or as many as there are from one stored state to the next.
+        If the step size varies, or there are inputs, the states are computed by steps of the scheme
+        from the stored state before.  They have the error of the run.  Each costs one step, or as
+        many as there are between two stored states.
 
         Parameters
         ----------
@@ -504,16 +507,16 @@ class Solution(Mapping[str, Any]):
         Returns
         -------
         States
-            With ``t``, ``q`` and ``v``.
+            Has ``t``, ``q`` and ``v``.
 
         Raises
         ------
         ValueError
-            If a time lies outside of the run, or is not a finite number; if it lies between two
-            states and the state was reset between them; if the states are those of ``t_eval``; if
-            it lies between two kept nodes, and there are inputs.
+            If a time is not finite or lies outside the run, or if the state was reset between the
+            two stored states around it.  Also for a run with ``t_eval``, and for times between kept
+            nodes if there are inputs.
         SingularError, DomainError
-            If the constraint has not full rank at a state, or a function is not defined there.
+            If the constraints lose rank at a state, or a function is not defined there.
 
         Examples
         --------
@@ -541,9 +544,9 @@ class Solution(Mapping[str, Any]):
         return States(times if times.ndim else float(times), x[..., :n], x[..., n:], changes)
 
     def _pieces(self, t: Array) -> Iterator[tuple[int, int, Any]]:
-        """Yield the smooth pieces between resets: first row, number of rows, which times are there.
+        """Yield the smooth pieces between resets: first row, number of rows, mask of times.
 
-        A row that stands for itself, at the end of the run, is a piece too.
+        A last row at which the run ended is a piece of its own.
         """
         h, count = self.stride * self.h, len(self.x)
         if self.times is not None:
@@ -575,7 +578,7 @@ class Solution(Mapping[str, Any]):
             )
 
     def _interpolate(self, flat: Array, first: int, rows: int) -> tuple[Array, int]:
-        """Return states by interpolation of some rows, and the number of changes of charts."""
+        """Return states interpolated from some rows, and the number of changes of charts."""
         n, h = self.system.n, self.stride * self.h
         stored = np.ascontiguousarray(self.x[first : first + rows])
         if first == len(self.x) - 1 and self.times is not None:
@@ -623,7 +626,7 @@ class Solution(Mapping[str, Any]):
 
     @property
     def _how(self) -> str:
-        """How long the steps are, in words."""
+        """The step size, or its control, in words."""
         return how(self.h, self.control)
 
     def __repr__(self) -> str:

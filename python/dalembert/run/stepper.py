@@ -1,4 +1,4 @@
-"""One step after the other, by hand: for loops that are closed outside of the library."""
+"""Single steps, for control loops outside the library."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ _double = np.dtype(np.float64)
 
 
 class Stepper:
-    """A system, a scheme and a state that is stepped.
+    """A system, a scheme and a current state, advanced by `step`.
 
-    It makes the bits of `integrate`, and belongs to one thread at a time.
+    The states are bitwise those of `integrate`.  Use a stepper in one thread at a time.
 
     Parameters
     ----------
     system, scheme, q0, v0, h, t0, consistent, initial, max_iterations, energy
-        As of `integrate`, for a number h.
+        As for `integrate`; h is a number.
     inputs : array_like, shape (k,), or mapping, optional
-        Those until `step` gives others, 0 by default.  Where constraints depend on inputs, v0 has
-        to satisfy them with these.
+        Initial inputs, by default 0; `step` may change them.  If the constraints depend on inputs,
+        v0 has to satisfy them with these.
 
     Attributes
     ----------
@@ -43,11 +43,11 @@ class Stepper:
     Raises
     ------
     ValueError, NotOnConstraintError, NotImplementedError
-        As `integrate`.
+        As for `integrate`.
 
     Examples
     --------
-    A cart that is to move at the speed 1:
+    A controller that brings a cart to the speed 1:
 
     >>> import dalembert as dal
     >>> cart = dal.System(mass=[2], force=lambda t, q, v, u: u, inputs=["push"], q0=[0], v0=[0])
@@ -102,26 +102,27 @@ class Stepper:
         self._bytes = 16 * system.n
 
     def step(self, inputs: Any = None, steps: int = 1) -> None:
-        """Make a step, or some with the same inputs.
+        """Take one step, or several with the same inputs.
 
-        If one fails the state is that after the last good one.
+        If a step fails, the state is that after the last successful one.
 
         Parameters
         ----------
         inputs : array_like, shape (k,), or mapping, optional
-            As numbers, or by their names; they stay until they are changed.  None: as they are.
-            If constraints depend on them, a change moves the velocity into the new D before the
-            step.
+            New inputs, as an array or by name; they apply until they are changed.  Default: no
+            change.  If the constraints depend on inputs, a change moves the velocity into the new D
+            before the step.
         steps : int, optional
+            Number of steps; default 1.
 
         Raises
         ------
         ValueError
-            If the inputs are wrong; no step is made.
+            If the inputs are invalid; no step is taken.
         SingularError, ConvergenceError, DomainError
-            If a step fails; ``.step`` and ``.t`` say which.
+            If a step fails; ``.step`` and ``.t`` locate it.
         Exception
-            Whatever a function of the system raises.
+            Any exception raised by a function of the system.
         """
         if inputs is not None:
             self._set(inputs)
@@ -146,7 +147,7 @@ class Stepper:
 
     @property
     def h(self) -> float:
-        """The step; after `restore` that of what was saved."""
+        """The step size; after `restore`, that of the saved state."""
         return float(lib.dal_stepper_h(self._handle))
 
     @property
@@ -171,7 +172,7 @@ class Stepper:
 
     @property
     def steps(self) -> int:
-        """Steps made since the start, or the last reset."""
+        """Number of steps since the start, or since the last reset."""
         return int(counts_of(self._handle).steps)
 
     @property
@@ -181,12 +182,12 @@ class Stepper:
 
     @property
     def energy(self) -> float:
-        """The energy of the state."""
+        """The energy of the current state."""
         return float(self.system._mechanics.call(lib.dal_energy, self.t, self.x, ()))
 
     @property
     def residual(self) -> float:
-        """Relative residual of the set that the scheme keeps."""
+        """Relative residual of the set that the scheme preserves."""
         shift = self.scheme.shift(self.h) if self.scheme.nodes == "kept" else 0.0
         given = self.t, shift, self.x, ()
         return float(self.system._mechanics.call(lib.dal_relative_residual, *given))
@@ -198,11 +199,11 @@ class Stepper:
 
     @property
     def stats(self) -> Statistics:
-        """What the steps have cost."""
+        """Counters of the steps so far."""
         return Statistics._of(counts_of(self._handle), self.system.kind)
 
     def save(self) -> Array:
-        """Return all that the next steps depend on, as numbers; see `restore`.
+        """Return all data that determine the following steps, as an array of numbers for `restore`.
 
         Raises
         ------
@@ -214,12 +215,14 @@ class Stepper:
         return values
 
     def restore(self, saved: ArrayLike) -> None:
-        """Go on from what `save` returned, also in another process: the same bits.
+        """Resume from the result of `save`, also in another process, with bitwise identical steps.
+
+        On failure the stepper is unchanged.
 
         Raises
         ------
         ValueError
-            If it is of another system, scheme or version; the stepper is as it was.
+            If the data belong to another system, scheme or version.
         """
         values = np.ascontiguousarray(saved, dtype=float).reshape(-1)
         core.call(self.system.kind, lib.dal_stepper_restore, self._handle, values, len(values))
@@ -228,20 +231,20 @@ class Stepper:
     def reset(
         self, q: ArrayLike | None = None, v: ArrayLike | None = None, t: float | None = None
     ) -> None:
-        """Start anew from a state, by default the first one, at a time, by default the first one.
+        """Restart from a state and a time, by default the first ones.
 
-        The inputs are those of the constructor then.  If it fails the stepper is as it was.
+        The inputs are those of the constructor.  On failure the stepper is unchanged.
 
         Parameters
         ----------
         q, v : array_like, shape (n,), optional
-            Both or neither.
+            Pass both or neither.
         t : float, optional
 
         Raises
         ------
         ValueError, NotOnConstraintError
-            As the constructor.
+            As for the constructor.
         """
         arguments.pair(q, v, ("q", "v"), " for those of the start")
         x = self._x0 if q is None else geometry.initial_state(self.system, q, v, "q", "v")

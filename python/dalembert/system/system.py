@@ -1,4 +1,4 @@
-"""Systems: the triple (Q = R^n, L, D) with D = {phi(q, v) = 0}, and perhaps a force."""
+"""Systems: the triple (Q = R^n, L, D) with D = {phi(q, v) = 0}, with an optional force."""
 
 from __future__ import annotations
 
@@ -23,131 +23,136 @@ CLOSE = 1e-6  # of position constraints: what is nearer satisfies them
 
 
 class System(Handle):
-    """A mechanical system with velocity constraints, from functions of the user.
+    """A mechanical system with velocity constraints, defined by functions.
 
     The equations are ``d/dt L_v - L_q = f + phi_v^T lambda`` with ``phi(q, v) = 0``.  The
-    Lagrangian L is ``v^T M v / 2 - V(q)`` with a constant mass matrix M, or any function with L_vv
-    positive definite.  The constraints phi are linear, ``mu(q) v``; affine, ``mu(q) v + a(q)``; or
-    nonlinear.  The force f may depend on time, and everything else in a system that is
-    ``time_dependent``.  Systems that come with the library are made by the functions of
-    `dalembert.systems`.
+    Lagrangian L is ``v^T M v / 2 - V(q)`` with a constant mass matrix M, or any function with
+    positive definite L_vv.  The constraints phi are linear, ``mu(q) v``; affine,
+    ``mu(q) v + a(q)``; or nonlinear in v.  The force f may depend on time.  If the system is
+    ``time_dependent``, so may all other functions.  `System.from_sympy` takes formulas instead of
+    functions; `dalembert.systems` has ready-made systems.
 
     Parameters
     ----------
     mass : array_like, shape (n, n), (n,) or ()
-        M, its diagonal, or one mass for all coordinates; symmetric, positive definite.  Either it
-        or ``lagrangian`` is given.
+        The mass matrix M, its diagonal, or one mass for all coordinates; M is symmetric and
+        positive definite.  Pass either ``mass`` or ``lagrangian``.
     forms : callable, optional
-        ``forms(q) -> (m, n)``: mu(q), one row for each constraint.  Without it, and without
-        ``constraint``, there are no constraints.
+        ``forms(q) -> (m, n)``: mu(q), one row for each constraint.  If neither ``forms`` nor
+        ``constraint`` is given, the system has no constraints.
     forms_velocity_derivative : callable, optional
         ``forms_velocity_derivative(q, v) -> (m, n)``: entry [a, j] is d(mu^a(q) v)/dq_j.
     affine, affine_derivative : callable, optional
         ``affine(q) -> (m,)``: a(q), so that the constraints are mu(q) v + a(q) = 0;
-        ``affine_derivative(q) -> (m, n)``: entry [a, j] is da^a/dq_j.  It is given together with
-        ``forms_velocity_derivative``, or neither is.
+        ``affine_derivative(q) -> (m, n)``: entry [a, j] is da^a/dq_j.  Pass both
+        ``affine_derivative`` and ``forms_velocity_derivative``, or neither.
     constraint, constraint_v, constraint_q : callable, optional
         Nonlinear constraints, instead of ``forms``.  ``constraint(q, v) -> (m,)``: phi;
-        ``constraint_v(q, v) -> (m, n)``: dphi^a/dv_i, needed, and of rank m wherever the system
-        goes; ``constraint_q(q, v) -> (m, n)``: dphi^a/dq_j.
+        ``constraint_v(q, v) -> (m, n)``: dphi^a/dv_i, required, of rank m along the motion;
+        ``constraint_q(q, v) -> (m, n)``: dphi^a/dq_j.
     time_dependent : bool, optional
-        Whether constraints or Lagrangian depend on time.  Then all functions, invariants too, take
-        t before what is said of them here: ``forms(t, q)``, ``constraint(t, q, v)``.
+        Whether the constraints or the Lagrangian depend on time.  If so, all functions, invariants
+        included, take t as an additional first argument: ``forms(t, q)``, ``constraint(t, q, v)``.
     constraint_t, lagrangian_vt : callable, optional
-        Of a system that depends on time: ``constraint_t(t, q, v) -> (m,)``: dphi^a/dt, which is
-        d(mu^a(t, q) v)/dt for linear constraints; ``lagrangian_vt(t, q, v) -> (n,)``: d2L/dv_i dt.
+        Only with ``time_dependent``.  ``constraint_t(t, q, v) -> (m,)``: dphi^a/dt, which is
+        d(mu^a(t, q) v)/dt for linear constraints.  ``lagrangian_vt(t, q, v) -> (n,)``: d2L/dv_i dt.
     potential : callable, optional
-        ``potential(q) -> float``.  None: V = 0.
+        ``potential(q) -> float``: V.  Default: V = 0.
     gradient : callable, optional
         ``gradient(q) -> (n,)``: dV/dq_j.
     hessian : callable, optional
         ``hessian(q) -> (n, n)``: d2V/dq_i dq_j.
     lagrangian, lagrangian_q, lagrangian_v : callable, optional
-        Instead of mass and potential, all three: ``lagrangian(q, v) -> float``;
-        ``lagrangian_q(q, v) -> (n,)``: dL/dq_i; ``lagrangian_v(q, v) -> (n,)``: dL/dv_i.
+        A general Lagrangian, instead of ``mass`` and ``potential``; all three are required.
+        ``lagrangian(q, v) -> float``: L; ``lagrangian_q(q, v) -> (n,)``: dL/dq_i;
+        ``lagrangian_v(q, v) -> (n,)``: dL/dv_i.
     lagrangian_qq, lagrangian_vq, lagrangian_vv : callable, optional
-        Of (q, v), shape (n, n): d2L/dq_i dq_j; d2L/dv_i dq_j, where the row is that of the
-        velocity; d2L/dv_i dv_j, symmetric and positive definite.
+        Second derivatives, functions of (q, v) of shape (n, n): d2L/dq_i dq_j; d2L/dv_i dq_j with
+        the velocity as row; d2L/dv_i dv_j, symmetric and positive definite.
     force, force_q, force_v : callable, optional
         ``force(t, q, v) -> (n,)``: f; ``force_q(t, q, v) -> (n, n)``: df_i/dq_j;
-        ``force_v(t, q, v) -> (n, n)``: df_i/dv_j.  With ``inputs`` each takes (t, q, v, u).
+        ``force_v(t, q, v) -> (n, n)``: df_i/dv_j.  With ``inputs`` the arguments are (t, q, v, u).
     inputs : sequence of str or int, optional
-        Names of the inputs u, or how many there are: numbers that a run changes from
-        step to step, as torques of motors.  See `dalembert.integrate` and `dalembert.Stepper`;
-        functions that accept no inputs, such as order studies, use zeros.
+        Names of the inputs u, or their number.  Inputs change from step to step of a run, as motor
+        torques do; see `dalembert.integrate` and `dalembert.Stepper`.  Functions that accept no
+        inputs, such as order studies, use zeros.
     driven : bool, optional
-        Whether the constraints depend on the inputs, as v - u = 0 does.  Then ``forms``,
-        ``affine``, ``constraint`` and their derivatives take u after all else: ``forms(q, u)``,
-        ``constraint(q, v, u)``.
+        Whether the constraints depend on the inputs, as v - u = 0 does.  If so, ``forms``,
+        ``affine``, ``constraint`` and their derivatives take u as an additional last argument:
+        ``forms(q, u)``, ``constraint(q, v, u)``.
     n : int, optional
-        Number of coordinates; needed where neither the mass, the coordinates nor q0 tell it.
+        Number of coordinates; required if neither ``mass``, ``coordinates`` nor ``q0`` determines
+        it.
     m : int, optional
-        Number of constraints.  Without it ``forms`` is asked once, at ``q0`` or at 0, or
-        ``constraint``, at (q0, v0) or at (0, (1, ..., 1)).
+        Number of constraints.  Default: the number of rows that ``forms`` returns at ``q0`` or at
+        0.  With ``constraint``, the number of values at (q0, v0), or at q = 0, v = (1, ..., 1).
     name, help : str, optional
-        A name, and one line about the system.
+        A name, and a description of one line.
     description, source : str, optional
-        What coordinates and parameters are, in some sentences; where the system is from.
+        Some sentences about the coordinates and parameters; the source in the literature.
     formulas : sequence of str, optional
-        "L = ...", the constraints "... = 0", and "where NAME = ..." for what else is in them or in
-        names of invariants; ``v_x`` is the velocity of x, a blank a product, ``^`` a power.
+        "L = ...", the constraints "... = 0", and "where NAME = ..." for each other symbol in these
+        and in the names of invariants.  ``v_x`` is the velocity of x, a blank a product, ``^`` a
+        power.
     coordinates : sequence of str, optional
         Names of the coordinates; default "q0", "q1", ...
     q0, v0 : array_like, shape (n,), optional
-        Initial data to start from by default, both or none.
+        Default initial data; pass both or neither.
     exact : callable, optional
-        ``exact(t, q0, v0) -> (q, v)``: the exact state a time t after (q0, v0).  Where something
-        depends on time, the solution that starts at time 0.
+        ``exact(t, q0, v0) -> (q, v)``: the exact state at time t of the solution that starts from
+        (q0, v0) at time 0.
     invariants : mapping of str to callable, optional
-        ``invariant(q, v) -> float`` by name: first integrals besides the energy.
+        First integrals besides the energy: name to ``invariant(q, v) -> float``.
     units : mapping of str to str, optional
-        Units, as {"x": "m", "theta": "rad", "t": "s", "energy": "J"}: of coordinates, of the time
-        and of the energy.  Pictures, pages and files show them; nothing is converted.
+        Units of coordinates, of the time and of the energy: {"x": "m", "theta": "rad", "t": "s",
+        "energy": "J"}.  Plots, pages and files show them; nothing is converted.
     steady : bool, optional
-        Whether mu depends only on coordinates that no reaction pushes, those i with row i of
-        M^-1 mu^T zero, as on the heading of a blade; only with ``mass`` and ``forms``.  Steps are
-        then linear, without iteration; a step that finds it false ends the run.
+        Whether mu depends only on coordinates on which no constraint force acts, such as the
+        heading of a blade.  Row i of M^-1 mu^T is zero for such a coordinate i.  Requires ``mass``
+        and ``forms``.  The steps are then linear, without iteration.  A step at which the
+        declaration proves false raises an error.
     positional : bool, optional
-        Whether the force depends on t, q and its inputs alone: it then enters steps as the gradient
-        of a potential does, which is faster, and gets NaN for v in them.
+        Whether the force depends on t, q and its inputs alone.  Steps then treat it like the
+        gradient of a potential, which is faster, and pass NaN for v.
     sparsity : array_like or sparse array, shape (m, n), or tuple (rows, columns), optional
-        The entries of mu and of d(mu v)/dq that may be other than 0: those of both together, by
-        rows, and in each by columns.  ``forms`` and ``forms_velocity_derivative`` then return an
-        array of these entries alone.  See below.
+        The entries that may be nonzero in mu or in d(mu v)/dq, sorted by row and then by column.
+        ``forms`` and ``forms_velocity_derivative`` then return an array of these entries alone.
+        See Notes.
     kind : {"linear", "affine", "nonlinear"}, optional
-        Of a ``constraint`` that is a C function; default "linear".
+        How a ``constraint`` given as a C function depends on v; default "linear".
     missing : sequence of str, optional
-        Outputs that C functions do not write: "V_q", "V_qq", "phi_q", "L_qq", ...
+        Outputs that the C functions do not write: "V_q", "V_qq", "phi_q", "L_qq", ...
     ctx : array, address or pointer, optional
-        What C functions get as their last argument; kept alive, and theirs to read.
+        Last argument passed to the C functions.  The object is kept alive; the C functions may only
+        read it.
 
     Attributes
     ----------
     n, m : int
         Numbers of coordinates and of constraints.
     name, help, description, source : str
-        As given; "" for what it does not say.
+        As given; "" if not given.
     coordinates : tuple of str
         Names of the n coordinates.
     mass : ndarray, shape (n, n), or None
-        M, read-only; None if it is not constant, see `metric`.
+        M, read-only; None if M is not constant (see `metric`).
     has_constant_mass : bool
-        Whether it is, without n^2 numbers.
+        Whether M is constant; does not allocate the n^2 entries of ``mass``.
     sparsity : tuple of ndarray, or None
-        Rows and columns of the entries of mu that may be other than 0, of a system with a sparsity:
-        one that was given, or found in expressions with more than 8 coordinates.
+        Rows and columns of the entries that may be nonzero, as given or, with more than 8
+        coordinates, as found in the expressions.  None if the system has no sparsity.
     kind : {"linear", "affine", "nonlinear"}
-        Of the constraints.
+        How the constraints depend on v.
     is_forced : bool
-        True if there is a force besides that of the Lagrangian.
+        True if the system has a force f.
     is_time_dependent : bool
-        True if constraints or Lagrangian depend on time.  Its energy is then no first integral.
+        True if the constraints or the Lagrangian depend on time.  The energy is then not conserved.
     inputs : tuple of str
         Names of the inputs of the force and of the constraints.
     is_driven : bool
-        Whether constraints depend on inputs.
+        True if the constraints depend on inputs.
     units : dict of str to str
-        As given; `unit` has those of velocities too.
+        As given; `unit` also returns the units of velocities.
     q0, v0 : ndarray, shape (n,), or None
         Default initial data, read-only; None if there are none.
     differenced : tuple of str
@@ -156,41 +161,41 @@ class System(Handle):
     Raises
     ------
     ValueError
-        If an argument has the wrong shape, is missing or one too many, or the mass matrix is not
-        symmetric and positive definite.  The text names it.
+        If an argument has the wrong shape, is missing or superfluous, or if the mass matrix is not
+        symmetric and positive definite.  The message names the argument.
 
     Notes
     -----
-    Derivatives that are not given are replaced by central differences, see ``differenced``.  Where
-    ``gradient``, ``lagrangian_vq``, ``lagrangian_vv``, ``lagrangian_vt`` or that of the constraints
-    by q or t is missing, accelerations and multipliers are good to about 1e-12; the others cost
-    Newton's speed only.
+    Derivatives that are not given are replaced by central differences and listed in
+    ``differenced``.  Without ``gradient``, ``lagrangian_vq``, ``lagrangian_vv``, ``lagrangian_vt``,
+    or the derivatives of the constraints by q or t, accelerations and multipliers are accurate to
+    about 1e-12.  Without any other derivative only Newton's iteration is slower.
 
-    A system of constant mass without force and with linear constraints is integrated by the fastest
-    step routine; all others by Newton's iteration on all n + m unknowns.
+    The fastest step routine integrates systems of constant mass with linear constraints and without
+    force.  All other systems need Newton's iteration for n + m unknowns.
 
-    With a ``sparsity``, steps take time and memory in proportion to n where the mass is given by
-    numbers, not by a matrix, and constraints touch few coordinates each.  The Hessian of V and the
-    derivatives of the force then serve only steps that do not converge without, where they are
-    given and n <= 500; else h has to resolve what V and the force make oscillate or decay.
-    Chains and crowds of bodies have blocks and narrow bands; a constraint that has a coordinate in
-    common with all others, and a tree that branches everywhere, cost as much as a dense matrix of m
-    rows.  What is not a step of a beta-scheme or of the reference has matrices of n rows: `check`,
-    `Chart`, `Discrete`, pairs, and ``run(t)``, instead of which there is ``t_eval``.
+    With a ``sparsity``, the time and memory of a step are proportional to n.  This requires masses
+    instead of a matrix, and few coordinates in each constraint.  The Hessian of V and the
+    derivatives of the force then serve only steps that do not converge without them, for n <= 500.
+    Otherwise h has to resolve the oscillations and decay due to V and the force.  Chains and
+    many-body systems lead to narrow bands and small blocks.  A constraint that shares a coordinate
+    with all others, and a tree that branches everywhere, cost as much as a dense matrix of m rows.
+    Only steps of beta-schemes and of the reference use the sparsity: `check`, `Chart`, `Discrete`,
+    pairs, and ``run(t)`` allocate matrices of n rows.  Use ``t_eval`` instead of ``run(t)``.
 
-    ``potential``, ``constraint``, ``lagrangian`` and ``force`` may be C functions, with the
-    arguments of ``dal_potential_fn`` and so on in ``dalembert.h``: a numba ``cfunc`` (see
+    ``potential``, ``constraint``, ``lagrangian`` and ``force`` may be C functions.  Their arguments
+    are those of ``dal_potential_fn`` and so on in ``dalembert.h``.  Pass a numba ``cfunc`` (see
     `dalembert.pointers.numba_wanted`), a function pointer of ctypes or cffi, or a SciPy
-    ``LowLevelCallable``.  Then all that are given have to be, with the derivatives among their
-    outputs; m is needed; and a step is as fast as from C.  Python functions are called once for
-    each evaluation, which is the slow path, vectorised or not.
+    ``LowLevelCallable``.  If one is a C function, all have to be; the derivatives are among their
+    outputs, and m is required.  A step is then as fast as in C.  Python functions are called once
+    for each evaluation, which is slower, vectorised or not.
 
-    The arrays that the functions get are read-only copies, which may be kept.  An exception that
-    a function raises comes back from the call that caused it.  A function may raise
+    The functions receive read-only copies of arrays, which they may keep.  If a function raises an
+    exception, the call that evaluated it raises the same exception.  A function may raise
     `dalembert.DomainError` for a state outside its domain.
 
-    A system does not change after it is made, and threads may share it as far as its functions
-    may.  It pickles as its description.
+    A system is immutable.  Threads may share it if its functions are thread-safe.  It is pickled as
+    its definition.
 
     Examples
     --------
@@ -204,7 +209,7 @@ class System(Handle):
     >>> own.multipliers([0, 1, 0], [1, 1, 1])
     array([0.5])
 
-    The same with friction, and a conveyor belt under it that moves with velocity 2:
+    The same with friction, on a conveyor belt that moves with velocity 2:
 
     >>> belt = dal.System(
     ...     mass=[1, 1, 1],
@@ -218,7 +223,7 @@ class System(Handle):
     >>> belt.residual([0, 1, 0], [1, 1, 3])
     array([0.])
 
-    A Lagrangian of its own, in polar coordinates, and a speed that is kept:
+    A Lagrangian in polar coordinates, and a prescribed speed:
 
     >>> speed = lambda q, v: (v[0] ** 2 + (q[0] * v[1]) ** 2) ** 0.5
     >>> runner = dal.System(
@@ -232,7 +237,7 @@ class System(Handle):
     >>> runner.kind
     'nonlinear'
 
-    A blade that a motor turns at the rate 2:
+    A blade turned by a motor at the rate 2:
 
     >>> sin, cos = np.sin, np.cos
     >>> turned = dal.System(
@@ -302,7 +307,7 @@ class System(Handle):
 
     @classmethod
     def _of(cls, source: Source, units: Mapping[str, str] | None = None) -> System:
-        """Return the system of a source."""
+        """Return the system defined by a source."""
         self = cls.__new__(cls)
         self._take(source, units)
         return self
@@ -341,57 +346,60 @@ class System(Handle):
         units: Mapping[str, str] | None = None,
         positions: Any = (),
     ) -> System:
-        """Return the system of a Lagrangian and constraints that are SymPy expressions.
+        """Return the system defined by SymPy expressions for the Lagrangian and the constraints.
 
-        Everything is differentiated and compiled to C, step routine included, and kept in a cache
-        (see `dalembert.compiler`).  Parameters stay free: `with_parameters` compiles nothing.
+        The expressions are differentiated and compiled to C, together with the step routine, and
+        the result is cached (see `dalembert.compiler`).  Parameters remain free: `with_parameters`
+        does not compile again.
 
-        A term is left out only where it is proved to be zero, so walls such as ``Max(0, x - 2)**2``
-        and numbers of any unit are kept.  The derivative of a ``Piecewise`` is that of its pieces:
-        a jump exerts no force.  Outside of all its pieces it is not defined, and callbacks end in a
-        `DomainError`.  Where Newton's method alone needs a derivative (V_qq, L_qq, f_q, f_v), that
-        of a jump is taken as 0, and that at the edge of ``Max(0, x)**(3/2)`` as finite.
+        A term is dropped only if it is proved to be zero; walls such as ``Max(0, x - 2)**2`` are
+        kept.  A ``Piecewise`` is differentiated piece by piece: a jump exerts no force.  Outside
+        all of its pieces it is undefined, and an evaluation there raises `DomainError`.
+        Derivatives that only Newton's method uses (V_qq, L_qq, f_q, f_v) are taken as 0 at a jump,
+        and as finite at the edge of ``Max(0, x)**(3/2)``.
 
         Parameters
         ----------
         L : sympy.Expr
-            The Lagrangian.  If it is v^T M v / 2 - V(q) with a constant M, the fast step routine is
-            used.
+            The Lagrangian.  The fast step routine is used if it is v^T M v / 2 - V(q) with constant
+            M.
         constraints : sequence, optional
-            What vanishes, or an ``Eq``; linear, affine or nonlinear in the velocities, see
-            ``kind``.  A list of n coefficients, and a row of a matrix, is a one-form mu(q).  The
-            time in L and here is `dalembert.time`, or ``dynamicsymbols._t`` beside dynamicsymbols.
+            Each constraint is an expression that vanishes or an ``Eq``, and is linear, affine or
+            nonlinear in the velocities.  A list of n coefficients, or a row of a matrix, is a
+            one-form mu(q).  The symbol of the time is `dalembert.time`, or ``dynamicsymbols._t``
+            together with dynamicsymbols.
         coordinates : sequence, optional
-            Of `dalembert.coordinates`; of dynamicsymbols, whose velocities are their derivatives;
-            or pairs (q, v) of symbols.  Default: all that occur, those of `dalembert.coordinates`
-            in the order in which they were named there, then dynamicsymbols by name.
+            Coordinates from `dalembert.coordinates`, dynamicsymbols (the velocities are their
+            derivatives), or pairs (q, v) of symbols.  Default: all coordinates in the expressions;
+            those of `dalembert.coordinates` in the order of their definition, then dynamicsymbols
+            by name.
         parameters : mapping, optional
-            Symbol, or its name, to value.  What a symbol assumes, as ``positive=True``, has to hold
-            of every value that it gets, here and in `with_parameters`.
+            Symbol, or its name, to value.  The assumptions of a symbol, such as ``positive=True``,
+            have to hold for each value, also in `with_parameters`.
         force : mapping, optional
-            Coordinate to component of a generalized force, d/dt L_v - L_q = f + mu^T lambda, in
-            coordinates, velocities, the inputs and the time.
+            Coordinate to component of the generalized force f in d/dt L_v - L_q = f + mu^T lambda.
+            A component may contain coordinates, velocities, inputs and the time.
         inputs : sequence, optional
-            Symbols or dynamicsymbols, of the force or of constraints, that a run changes from step
-            to step, as torques of motors or a steering rate; they become ``System.inputs`` by their
-            names.
+            Symbols or dynamicsymbols in the force or the constraints that change during a run, such
+            as motor torques or a steering rate.  Their names become ``System.inputs``.
         name, help, description, source : str, optional
-            As of `System`.
+            As for `System`.
         q0, v0 : sequence, optional
             Default initial data; numbers, or expressions in the parameters.
         exact : sequence or callable, optional
-            The exact solution: 2n expressions (q, v) in the time and in the symbols of the
-            coordinates and velocities, which stand for the initial data; or
-            ``exact(t, q0, v0, **parameters) -> (q, v)``.
+            The exact solution: 2n expressions (q, v), or
+            ``exact(t, q0, v0, **parameters) -> (q, v)``.  In the expressions the symbols of
+            coordinates and velocities denote the initial data.
         invariants : mapping, optional
-            Name to expression, or to ``invariant(q, v, **parameters) -> float``; of a system that
-            depends on time ``invariant(t, q, v, **parameters)``.
+            Name to expression, or to ``invariant(q, v, **parameters) -> float``;
+            ``invariant(t, q, v, **parameters)`` if the system depends on time.
         units : mapping, optional
-            As of `System`.
+            As for `System`.
         positions : sequence, optional
-            Constraints on coordinates alone, as expressions that vanish, whose time derivatives are
-            among the constraints.  Steps keep the derivatives.  Runs warn of initial data off a
-            position constraint by more than 1e-6, see `off_positions`, and where they drift as far.
+            Constraints on coordinates alone, as expressions that vanish.  Their time derivatives
+            have to be among ``constraints``; steps satisfy the derivatives.  A run warns if a
+            position constraint is violated by more than 1e-6 (see `off_positions`), initially or by
+            drift.
 
         Returns
         -------
@@ -400,17 +408,17 @@ class System(Handle):
         Raises
         ------
         ValueError
-            If a symbol is left over, something has no place in a system, a function is not among
-            what can be compiled, or a derivative needs a ``DiracDelta``.  The text names it.
+            If a symbol is unknown, an expression is not allowed in its place, a function cannot be
+            compiled, or a derivative needs a ``DiracDelta``.  The message names it.
         dalembert.compiler.CompilerError
-            If the compiler refuses the program; the text has the line, and what it comes from.
+            If the compiler rejects the program; the message has the line and its expression.
         ImportError
             If SymPy is not installed.
 
         Warns
         -----
         DalembertWarning
-            If there is no C compiler, so that Python functions are used; or no cache.
+            If there is no C compiler, so that the slower Python functions are used, or no cache.
 
         Examples
         --------
@@ -441,23 +449,23 @@ class System(Handle):
     ) -> System:
         """Return the system of a ``sympy.physics.mechanics.LagrangesMethod``.
 
-        Its Lagrangian, its constraints and ``forcelist`` are taken; ``hol_coneqs`` are positions as
-        of `from_sympy`.  A load that is constant in ``frame`` becomes a part of V, any other a
-        force.  Mind the sign of the multipliers: here
-        d/dt L_v - L_q = f + mu^T lambda.  The equations of a LagrangesMethod and
-        its ``solve_multipliers`` have -lambda, its ``rhs()`` has lambda.
+        The system has the Lagrangian, the constraints and the ``forcelist`` of the method;
+        ``hol_coneqs`` become the ``positions`` of `from_sympy`.  A load that is constant in
+        ``frame`` becomes a part of V, any other load a force.  The sign of the multipliers differs:
+        here d/dt L_v - L_q = f + mu^T lambda.  The equations of a LagrangesMethod and its
+        ``solve_multipliers`` contain -lambda; its ``rhs()`` contains lambda.
 
         Parameters
         ----------
         lm : sympy.physics.mechanics.LagrangesMethod
             Before or after ``form_lagranges_equations()``.
         parameters, **options
-            As of `from_sympy`.
+            As for `from_sympy`.
 
         Raises
         ------
         ValueError
-            If it is no LagrangesMethod.
+            If ``lm`` is not a LagrangesMethod.
 
         Examples
         --------
@@ -478,24 +486,24 @@ class System(Handle):
     ) -> System:
         """Return the system of a ``sympy.physics.mechanics.System``.
 
-        Its bodies give the Lagrangian, with their potential energies.  A load that is constant in
-        the inertial frame, as a weight, becomes a part of V; other loads and actuators give the
-        force.  The velocity constraints are kept, and holonomic constraints are positions as of
-        `from_sympy`.  Generalized speeds are replaced by velocities after the kinematic
-        differential equations.
+        The bodies and their potential energies define the Lagrangian.  A load that is constant in
+        the inertial frame, such as a weight, becomes a part of V; other loads and actuators define
+        the force.  Velocity constraints are kept; holonomic constraints become the ``positions`` of
+        `from_sympy`.  The kinematic differential equations replace generalized speeds by
+        velocities.
 
         Parameters
         ----------
         system : sympy.physics.mechanics.System
         parameters, **options
-            As of `from_sympy`.
+            As for `from_sympy`.
 
         Raises
         ------
         ValueError
-            If there are auxiliary speeds; a speed has no kinematic differential equation; the
-            velocity of a mass centre is no derivative of a position, or an angular velocity not
-            that of an orientation; or it is no such System.
+            If ``system`` is not such a System or has auxiliary speeds, or a speed has no kinematic
+            differential equation.  Also if the velocity of a mass centre is not the derivative of
+            its position, or an angular velocity does not belong to an orientation.
 
         Examples
         --------
@@ -561,10 +569,10 @@ class System(Handle):
 
     @property
     def conserves_energy(self) -> bool:
-        """True if the energy is a first integral, as far as the kinds of what is given tell.
+        """True if the type of the system implies that the energy is conserved.
 
-        That is so for linear constraints without a force where nothing depends on time, and no
-        constraint on inputs.
+        This holds if the constraints are linear and independent of inputs, there is no force, and
+        neither Lagrangian nor constraints depend on time.
 
         Examples
         --------
@@ -577,7 +585,7 @@ class System(Handle):
 
     @property
     def has_exact(self) -> bool:
-        """True if `exact` gives the exact solution."""
+        """True if the system has an exact solution, see `exact`."""
         if self._has_exact is not None:
             return self._has_exact
         x = np.zeros(2 * self.n) if self.q0 is None else np.concatenate([self.q0, self.v0])
@@ -588,14 +596,14 @@ class System(Handle):
     def exact(
         self, t: ArrayLike, q0: ArrayLike | None = None, v0: ArrayLike | None = None
     ) -> Pair:
-        """Return the exact state a time t after (q0, v0).
+        """Return the exact state at time t of the solution that starts from (q0, v0) at time 0.
 
         Parameters
         ----------
         t : float or array_like, shape (N,)
             Time since the initial state, in the user's units; negative times are allowed.
         q0, v0 : array_like, shape (n,), optional
-            Initial state, in D, both; neither: the system's.
+            Initial state in D; pass both or neither.  Default: the system's initial data.
 
         Returns
         -------
@@ -604,7 +612,7 @@ class System(Handle):
         Raises
         ------
         NotImplementedError
-            If the system carries no exact solution.
+            If the system has no exact solution.
         ValueError
             If an argument has another shape.
 
@@ -640,41 +648,43 @@ class System(Handle):
         t: float = 0.0,
         progress: Progress = False,
     ) -> Check:
-        """Examine the system at a state: derivatives, rank, definiteness, integrability, growth.
+        """Check the system at a state: derivatives, rank, definiteness, integrability, growth.
 
-        Derivatives are compared with differences over several distances; what is wrong by less
-        than 1e-7 of 1 + its size is not seen, and an entry where differences do not converge, such
-        as a second derivative at a kink, is not judged.
-        What depends on v is examined at another velocity too, where it is defined there, and what
-        depends on time at t + 1.  The growth vector of D, and with it whether D is integrable, is
-        found with many digits for a system made by `from_sympy`, and for one whose formulas say
-        what it is if SymPy is installed; else by its functions, as far as their digits go.  For a
-        system that depends on time, or whose constraints depend on inputs, it is not sought; the
-        velocity of the latter has to satisfy the constraints with inputs 0.
+        Derivatives are compared with differences over several distances.  An error below 1e-7 (1 +
+        |derivative|) is not detected.  An entry whose differences do not converge, such as a second
+        derivative at a kink, is not judged.  Functions of v are checked at a second velocity too,
+        if they are defined there, and functions of time also at t + 1.
+
+        The growth vector of D shows whether D is integrable.  It is computed with many digits for
+        systems from `from_sympy`.  With SymPy installed, this also holds for systems whose
+        ``formulas`` are complete.  Otherwise it is computed from function values, to their
+        accuracy.  It is not computed if the system depends on time or its constraints depend on
+        inputs.  In the second case v has to satisfy the constraints with inputs 0.
 
         Parameters
         ----------
         q, v : array_like, shape (n,), optional
-            Where to look, in the user's units, both; neither: the system's initial data; without
-            any, and if the system was made by `from_sympy`, some state in D.  The growth vector is
-            that at q if q is given, else that at a general point.
+            The state in the user's units; pass both or neither.  Default: the system's initial
+            data, or, if a system from `from_sympy` has none, a random state in D. The growth vector
+            is computed at a general point and, if q is given, at q.
         t : float, optional
             The time.
         progress : bool or callable, optional
-            True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
-            dimensions that brackets add to D, m at a general point and m at q.
+            True: show a tqdm bar.  A function is called as ``progress(done, total)``, where done is
+            the number of dimensions that brackets have added to D. The total is m at the general
+            point, plus m at q.
 
         Returns
         -------
         Check
-            True if all is as it should be; ``print(system.check())`` shows what was found.
+            True if all checks pass; ``print(system.check())`` shows the results.
 
         Raises
         ------
         ValueError
             If q or v has another shape, or none is given and the system has no initial data.
         Exception
-            Whatever a function of the user raises.
+            Any exception raised by a function of the system.
 
         Examples
         --------
@@ -688,7 +698,7 @@ class System(Handle):
         >>> trailers.check().growth
         (2, 3, 4, 5)
 
-        It grows more slowly where the first trailer stands at a right angle to the car:
+        The growth is slower if the first trailer is at a right angle to the car:
 
         >>> trailers.check([0, 0, 3.141592653589793 / 2, 0, 0], [0, 0, 0, 0, 0]).growth
         (2, 3, 4, 4, 5)
@@ -713,15 +723,16 @@ class System(Handle):
 
     @property
     def positions(self) -> tuple[str, ...]:
-        """Position constraints that were given to `from_sympy`, as text."""
+        """The position constraints given to `from_sympy`, as text."""
         model = self._model
         return () if model is None else tuple(str(model.shown(e)) for e in model.positions)
 
     def off_positions(self, q: ArrayLike | None = None, t: float = 0.0) -> str:
-        """Return by how much coordinates violate a position constraint; "" if by at most 1e-6.
+        """Return a message if q violates a position constraint, else "".
 
-        That is ``|g|`` relative to ``sum_i |dg/dq_i| (1 + |q_i|)``, for the ``positions`` of
-        `from_sympy`.
+        The violation of g = 0, one of the ``positions`` of `from_sympy`, is ``|g|`` divided by
+        ``sum_i |dg/dq_i| (1 + |q_i|)``; up to 1e-6 is allowed.  The message has the first violated
+        constraint, its value and its violation.
 
         Parameters
         ----------
@@ -754,7 +765,7 @@ class System(Handle):
         return ""
 
     def _general_state(self) -> Pair:
-        """Return some state in D, in no special position."""
+        """Return a random state in D."""
         source, first = np.random.default_rng(1), None
         for size in np.repeat((1.0, -1.0, 10.0, -10.0, 100.0, -100.0), 4):  # where it is defined
             q, v = source.uniform(0.2, 1.0, (2, self.n))
@@ -766,7 +777,7 @@ class System(Handle):
         return first  # the examination says why
 
     def with_parameters(self, **parameters: float) -> System:
-        """Return the system with other values of some parameters; nothing is compiled.
+        """Return the system with other parameter values, without compiling again.
 
         Parameters
         ----------
@@ -794,12 +805,12 @@ class System(Handle):
         return self if source is self._source else type(self)._of(source, self._units)
 
     def with_units(self, **units: str) -> System:
-        """Return the system with other units of some coordinates, of the time or of the energy.
+        """Return the system with other units of coordinates, of the time or of the energy.
 
         Parameters
         ----------
         **units : str
-            As of `System`; ``**{"name": unit}`` for a name that is no word of Python.
+            As for `System`; use ``**{"name": unit}`` if a name is not a Python identifier.
 
         Returns
         -------
@@ -808,7 +819,7 @@ class System(Handle):
         Raises
         ------
         ValueError
-            If the system has no such coordinate, or the unit is no text.
+            If the system has no such coordinate, or a unit is not a str.
 
         Examples
         --------
@@ -819,24 +830,25 @@ class System(Handle):
         return type(self)._of(self._source, {**self._units, **units})
 
     def c_source(self, name: str | None = None) -> str:
-        """Return a C file with the system, for a program that is linked with libdalembert.
+        """Return C source that defines the system, for programs linked with libdalembert.
 
-        It has one function, ``int NAME_system(dal_system **system, double PARAMETER, ..., dal_error
-        *error)``, with the names of the parameters in the order of `parameters`.  A name that C or
-        C++ has taken gets an underscore.  What the function makes steps as fast as this system.
-        `c_header` declares the function.
+        It defines one function,
+        ``int NAME_system(dal_system **system, double PARAMETER, ..., dal_error *error)``, with the
+        parameters in the order of `parameters`.  Names reserved in C or C++ get an underscore.
+        Steps of the new system are as fast as those of this one.  `c_header` declares the function.
+        To compile:
 
         ``cc own.c main.c -ffp-contract=off $(pkg-config --cflags --libs dalembert) -lm``
 
         Parameters
         ----------
         name : str, optional
-            The NAME, a C identifier.  Default: the system's name.
+            NAME, a C identifier.  Default: the system's name.
 
         Raises
         ------
         ValueError
-            If the system was not made from expressions, or the name is no identifier.
+            If the system was not made by `from_sympy`, or the name is not an identifier.
 
         Examples
         --------
@@ -850,7 +862,7 @@ class System(Handle):
         return source
 
     def c_header(self, name: str | None = None) -> str:
-        """Return the header that declares the function of `c_source`, for C and C++.
+        """Return a C and C++ header that declares the function of `c_source`.
 
         Parameters
         ----------
@@ -876,13 +888,13 @@ class System(Handle):
         return text
 
     def _named_for_c(self, name: str | None) -> tuple[Any, str]:
-        """Return the model, and its name in C."""
+        """Return the model and its name in C."""
         if self._model is None:
             raise ValueError(f"the system {self.name!r} was not made by from_sympy")
         return self._model, symbolic.codegen.c_identifier(name, self.name)
 
     def _repr_latex_(self) -> str | None:
-        """Return L, mu and the equations of motion for a notebook; None if they are not known."""
+        """Return L, mu and the equations of motion for a notebook, None without expressions."""
         return None if self._model is None else f"${self._model.latex()}$"
 
     # ---- mechanics on D: the functions of `geometry` as methods --------------------------
@@ -914,39 +926,38 @@ class System(Handle):
     ) -> System:
         """Return the system with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE).
 
-        It is a system as any other: `gram` is C_delta, `multipliers` are lambda_delta and `field`
-        is h_delta (Ceps, heps).  Constraints that are nonlinear in v do work, see `power`, so that
-        the energy is no first integral.  The exact solution, the invariants and the initial data
-        of the system are not those of the deformed one; ``deformed.project(q, v)`` leads into its
-        D.
+        Its `gram` is C_delta, its `multipliers` are lambda_delta and its `field` is h_delta (Ceps,
+        heps).  Constraints that are nonlinear in v do work (see `power`), so the energy is not
+        conserved.  The exact solution, the invariants and the initial data are not carried over;
+        ``deformed.project(q, v)`` returns a velocity in the deformed D.
 
         Parameters
         ----------
         g : callable
-            ``g(q, v) -> (m,)``.
+            The deformation ``g(q, v) -> (m,)``.
         delta : float
             The size of the deformation, in the user's units.
         g_v : callable
             ``g_v(q, v) -> (m, n)``: entry [a, i] is dg^a/dv_i.
         g_q : callable, optional
-            ``g_q(q, v) -> (m, n)``: entry [a, j] is dg^a/dq_j.  None: d(phi + delta g)/dq is
-            replaced by central differences, see ``differenced``.
+            ``g_q(q, v) -> (m, n)``: entry [a, j] is dg^a/dq_j.  By default d(phi + delta g)/dq is
+            replaced by central differences (see ``differenced``).
         g_t : callable, optional
-            Of a system that depends on time: ``g_t(t, q, v) -> (m,)``: dg^a/dt, or differences; the
-            others take t first, too.
+            ``g_t(t, q, v) -> (m,)``: dg^a/dt, only if the system depends on time; by default
+            central differences. g, g_v and g_q then take t as their first argument too.
         kind : {"nonlinear", "affine", "linear"}, optional
-            Of phi + delta g as a function of v.
+            How phi + delta g depends on v.
 
         Returns
         -------
         System
-            It keeps this one alive, and pickles if g, g_v and g_q do.
+            Keeps this system alive; can be pickled if g, g_v, g_q and g_t can.
 
         Raises
         ------
         ValueError
-            If an argument is out of range, the system has no constraints, or the kind is simpler
-            than that of the system.
+            If an argument is out of range, the system has no constraints, or ``kind`` is simpler
+            than the kind of this system.
         NotImplementedError
             If m n > 4000.
 
@@ -981,11 +992,11 @@ class System(Handle):
         return type(self)._of(source, self._units)
 
     def at_kept_nodes(self, shift: float) -> System:
-        """Return the system with phi(q - shift v, v) = 0 as constraints (deformedCons).
+        """Return the system with the constraints phi(q - shift v, v) = 0 (deformedCons).
 
-        For ``shift = scheme.shift(h)``, which is (1 - beta) h, its D is the D_eps in which the
-        scheme with kept nodes stays (originalnodes).  It is a nonlinear constraint with a flow of
-        its own; such a run is a method of order 1 for that flow, as it is for the flow of this one.
+        For ``shift = scheme.shift(h)``, which is (1 - beta) h, its D is the set D_eps that the
+        scheme with kept nodes preserves (originalnodes).  These constraints are nonlinear.  The
+        scheme is of order 1 for the flow of the new system, as it is for the flow of this one.
 
         Parameters
         ----------
@@ -995,12 +1006,13 @@ class System(Handle):
         Returns
         -------
         System
-            It keeps this one alive, and pickles if this one does.
+            Keeps this system alive; can be pickled if this system can.
 
         Raises
         ------
         ValueError
-            If the shift is not finite, or the system does not provide what is needed.
+            If the shift is not finite, or the system lacks ``forms_velocity_derivative``
+            (``constraint_q`` if the constraints are nonlinear).
         NotImplementedError
             If m n > 4000.
 
@@ -1037,9 +1049,9 @@ class System(Handle):
 
     @property
     def _identity(self) -> Any:
-        """What tells the system from others, as far as that can be told, for JSON.
+        """Return data for JSON that identify the system as far as possible.
 
-        Of functions it is which are given, and the mass; of what they compute it has nothing.
+        A system made of functions is identified by their names and the mass, not by their values.
         """
         return [self._source.identity(), self.parameters]
 
@@ -1060,7 +1072,7 @@ class System(Handle):
 
 
 def require_parameters(name: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise ValueError for the first of the given parameters that the system does not have."""
+    """Raise ValueError for the first given parameter that the system does not have."""
     names = list(known)
     for key in given:
         if key not in names:
