@@ -229,7 +229,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -260,7 +260,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
         SingularError, ConvergenceError
             If a map of your own has no inverse there.
 
@@ -293,7 +293,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -326,7 +326,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -357,7 +357,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -388,7 +388,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -423,7 +423,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -465,7 +465,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -510,7 +510,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -545,7 +545,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -584,7 +584,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As of the class.
+            As for the class.
         SingularError
             If the matrix of `regularity` is singular.
         ConvergenceError
@@ -624,11 +624,11 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError
-            As of the class.
+            As for the class.
         NotOnConstraintError
             If (q0, q1) does not lie in D_d; `step` leads there.
         DomainError, SingularError, ConvergenceError
-            As of `step`; ``.step`` is the number of good steps.
+            As for `step`; ``.step`` is the number of good steps.
 
         Examples
         --------
@@ -680,7 +680,7 @@ class Discrete(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError, ConvergenceError
-            As of `step`.
+            As for `step`.
 
         Examples
         --------
@@ -744,7 +744,7 @@ def exact_velocity(
     ConvergenceError
         If h is too large.
     DomainError, SingularError
-        As of `reference`.
+        As for `reference`.
 
     Examples
     --------

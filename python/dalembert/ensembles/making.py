@@ -93,7 +93,7 @@ def ensemble(
     h : array_like, shape (...)
         Step size.
     t_end, steps, t0 : float, int, float, optional
-        As of `integrate`; the same for all.
+        As for `integrate`; the same for all.
     stride : int, optional
         From row to row of what is kept; default 1.  The end alone has none.
     keep : str, sequence of str or callable, optional
@@ -106,7 +106,7 @@ def ensemble(
         Inputs, as for `integrate`; or with leading axes, shape (..., holds, k).
         Expressions are evaluated in C with the parameters of each member.
     hold, events, consistent, initial, max_iterations, energy, method, tolerance : optional
-        As of `integrate`.  Events and resets that are expressions are computed in C.
+        As for `integrate`.  Events and resets that are expressions are computed in C.
     axes : sequence of str, or mapping of str to array_like, optional
         Names of the axes of the members, and values along them, for pictures and xarray.  Default:
         those of a `grid`.
@@ -128,7 +128,7 @@ def ensemble(
     block : int, optional
         Members of a block; default: as many as some seconds take.
     progress : bool or callable, optional
-        As of `integrate`, with numbers of members; the bar is shown where tqdm is installed.
+        As for `integrate`, with numbers of members; the bar is shown where tqdm is installed.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def ensemble(
     Raises
     ------
     ValueError
-        If an argument is out of range, or any number is not finite; the text names it.  What a
+        If an argument is out of range, or any number is not finite; the message names it.  What a
         member by itself is refused for, as initial data that are not in D or a parameter out of
         its range, is its entry.
     StoreError

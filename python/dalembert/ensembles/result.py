@@ -370,7 +370,7 @@ class Ensemble(Mapping[str, Any]):
         k : int or tuple of int
             Its number, or its place along the axes of ``shape``; from the end if negative.
         stride : int, optional
-            As of `integrate`.  Default: that of the ensemble, 1 where the end alone was kept.
+            As for `integrate`.  Default: that of the ensemble, 1 where the end alone was kept.
         throw : bool, optional
             True: of a member that failed in a step, the exception instead of what there is.
 

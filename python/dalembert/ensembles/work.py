@@ -63,7 +63,7 @@ def make(
     ----------
     setting : Setting
     rows : dict
-        As `Ask.block`.
+        As for `Ask.block`.
     count : int
         How many members.
     stop : threading.Event

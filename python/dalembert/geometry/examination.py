@@ -101,7 +101,7 @@ class Check:
         Smallest eigenvalues of the mass matrix M at the state, on R^n and on ker mu; of the latter
         there is none for m = n, and ``kernel_min`` is infinite.
     residual : float
-        As `System.relative_residual`: 0 if the velocity lies in D.
+        As for `System.relative_residual`: 0 if the velocity lies in D.
     curvature : float
         Largest curvature of D over an orthonormal basis; 0 if D is integrable here.  NaN unless the
         constraints are linear.

@@ -68,7 +68,7 @@ def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
     Parameters
     ----------
     units : mapping, optional
-        As of `System`, instead of those of the system: that of the time and that of the energy
+        As for `System`, instead of those of the system: that of the time and that of the energy
         become their attribute ``units``, the others the coordinate ``unit`` of the coordinates.
 
     Raises

@@ -120,8 +120,8 @@ class Animation:
             Its ending says what is written: ``.gif``; ``.mp4``, for which ffmpeg has to be
             installed; ``.html``, a page with a slider, the energy and the residual, in one file.
         progress : bool or callable, optional
-            True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
-            frames.
+            True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers
+            of frames.
 
         Raises
         ------
@@ -379,7 +379,7 @@ def snapshots(
     Raises
     ------
     ValueError
-        As `dalembert.plot.animate`.
+        As for `dalembert.plot.animate`.
     ImportError
         If matplotlib is not installed.
 

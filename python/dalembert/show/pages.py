@@ -52,7 +52,7 @@ def write(
         Names of systems, or systems with initial data.  Default: all that come with the library,
         but those written in SymPy only if that is installed.
     progress : bool or callable, optional
-        True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+        True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers of
         pages, before each and at the end.
 
     Returns

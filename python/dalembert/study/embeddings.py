@@ -4,9 +4,9 @@ One step of a scheme of order p from xi in D is the time-h map of
 
     xidot = f(xi) + h^p g(t/h, xi)                              (pertODE, perturbedNhODExi)
 
-where xi are the coordinates of a `dalembert.Chart`, f is the field of the ODE on D in them, and g
-is 1-periodic in its first argument tau = t/h and bounded as h -> 0.  With p + 1 in place of p it
-grows as 1/h, with p - 1 it tends to 0: so it measures p.
+with xi the coordinates of a `dalembert.Chart` and f the field of the ODE on D in them.  The
+function g is 1-periodic in its first argument tau = t/h, and bounded as h -> 0.  With p + 1 in
+place of p, g grows as 1/h; with p - 1, it tends to 0. So g measures p.
 """
 
 from __future__ import annotations
@@ -41,16 +41,15 @@ CLEAR = 100  # as many times g stands above its noise, if it is meaningful
 class Embedding(core.Constant):
     """A scheme with the step h as the time-h map of xidot = f(xi) + h^p g(t/h, xi).
 
-    `embedding` makes it.  What the methods take as ``z`` and return are coordinates xi of
-    ``chart``, (q, v of the independent coordinates), shape (2n-m,); where ``z`` is left out it is
-    ``start``.
-    Phi is the scheme, F the flow of the ODE on D, and tau = t/h the time in units of the period.
-    Of kept nodes the map of moved nodes is embedded, which is theirs seen from (q - (1-beta) h v,
+    Created by `embedding`.  The methods take and return coordinates xi of ``chart``, shape (2n-m,):
+    q and the velocities of the independent coordinates.  The default of ``z`` is ``start``.  Phi is
+    the scheme, F the flow of the ODE on D, and tau = t/h the time in units of the period.  A scheme
+    with kept nodes is replaced by its conjugate with moved nodes, at the states (q - (1-beta) h v,
     v).
 
-    The methods raise ValueError if an argument has another shape or is not finite, ConvergenceError
-    if h is too large, the exceptions of a step and of the flow where those fail, and whatever a
-    function of the user raises.
+    The methods raise ValueError if an argument has another shape or is not finite, and
+    ConvergenceError if h is too large.  They also raise the exceptions of steps and of the flow,
+    and any exception raised by a function of the system.
 
     Attributes
     ----------
@@ -65,7 +64,7 @@ class Embedding(core.Constant):
     start : ndarray, shape (2n-m,), read-only
         The initial data in these coordinates.
     tolerance : float
-        Of the reference flow.
+        Tolerance of the reference flow.
     numerical : bool
         True if F is the reference flow, False if it is the exact solution of the system.
 
@@ -122,7 +121,7 @@ class Embedding(core.Constant):
         row: int | None = None,
         show: Callable[[float], Any] = core.ignore,
     ) -> None:
-        """Call ``function(embedding, *given)``; ``show`` is told how many steps are made."""
+        """Call ``function(embedding, *given)``; ``show`` receives the number of steps taken."""
         with self._embeddings.lend() as embedding, core.watching(embedding, show):
             core.call(self.system.kind, function, embedding, *given, step=row)
 
@@ -137,7 +136,7 @@ class Embedding(core.Constant):
         name: str = "z",
         progress: Progress = False,
     ) -> Array:
-        """Return the values of a function of (tau, z), with one row for each of them."""
+        """Return the values of a function of (tau, z), one row for each pair."""
         taus = arguments.array(tau, "tau", (), (None,))
         points = self._point(z, name, (None, self.start.size))
         if taus.ndim == 1 and points.ndim == 2 and len(taus) != len(points):
@@ -165,17 +164,17 @@ class Embedding(core.Constant):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates xi: those of q, and ``v_`` with those that are independent."""
+        """Names of the coordinates xi: q, then the independent velocities, ``v_...``."""
         return (*self.system.coordinates, *(f"v_{name}" for name in self.chart.independent))
 
     @property
     def accuracy(self) -> float:
-        """The accuracy of F: the tolerance of the reference flow, roundoff for an exact one."""
+        """Accuracy of F: the tolerance of the reference flow, or roundoff if F is exact."""
         return self._noise * abs(self.h) ** (self.order + 1)
 
     @property
     def noise(self) -> float:
-        """About how much of g is noise: the accuracy of F times h^-(p+1)."""
+        """Approximate noise in g: the accuracy of F times h^-(p+1)."""
         return self._noise
 
     def with_step(self, h: float) -> Embedding:
@@ -184,7 +183,7 @@ class Embedding(core.Constant):
         Parameters
         ----------
         h : float
-            Not 0.
+            The new step, not 0.
 
         Raises
         ------
@@ -222,18 +221,18 @@ class Embedding(core.Constant):
         Parameters
         ----------
         tau : array_like, shape () or (N,)
-            In units of h.
+            Time in units of h.
         z : array_like, shape (2n-m,) or (N, 2n-m), optional
 
         Returns
         -------
         ndarray, shape (2n-m,) or (N, 2n-m)
-            Exactly 0 where tau is an integer.
+            Exactly 0 if tau is an integer.
 
         Raises
         ------
         ValueError, ConvergenceError, Exception
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -247,13 +246,13 @@ class Embedding(core.Constant):
     def g_tilde(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
         """Return g~ = (dpsi/dxi) g in the state (q, v), a vector tangent to D (tildeg).
 
-        With it `System.perturbed` is the field of the perturbed ODE, and has the multipliers of
-        the system itself.
+        `System.perturbed` with g~ is the field of the perturbed ODE.  Its multipliers are those of
+        the unperturbed system.
 
         Parameters
         ----------
         tau : array_like, shape () or (N,)
-            In units of h.
+            Time in units of h.
         z : array_like, shape (2n-m,) or (N, 2n-m), optional
 
         Returns
@@ -263,7 +262,7 @@ class Embedding(core.Constant):
         Raises
         ------
         ValueError, ConvergenceError, Exception
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -278,8 +277,8 @@ class Embedding(core.Constant):
     def limit(self, z: ArrayLike | None = None) -> Array:
         """Return d(z) = (Phi(z) - F(h, z)) / h^(p+1).
 
-        For h -> 0 it is the error constant of the scheme, and g(tau, z) tends to -chi_0'(tau) d(z)
-        with the slope chi_0' of `dalembert.geometry.cutoff`.
+        As h -> 0, d tends to the error constant of the scheme, and g(tau, z) to -chi_0'(tau) d(z).
+        The slope chi_0' is that of `dalembert.geometry.cutoff`.
 
         Parameters
         ----------
@@ -292,7 +291,7 @@ class Embedding(core.Constant):
         Raises
         ------
         ValueError, Exception
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -317,17 +316,17 @@ class Embedding(core.Constant):
     ) -> Array:
         """Return the solution G~(tau, y) that starts in y (Gdef, Gtilde, period0).
 
-        It is chi_0 F(h tau, y) + chi_1 F(h tau - h, Phi(y)) for tau <= 1, and goes on from Phi(y)
-        in the same way.
+        For tau <= 1 it is ``chi_0 F(h tau, y) + chi_1 F(h tau - h, Phi(y))``.  From Phi(y) on it
+        continues in the same way.
 
         Parameters
         ----------
         tau : array_like, shape () or (N,)
-            In units of h, not negative.
+            Time in units of h, not negative.
         y : array_like, shape (2n-m,) or (N, 2n-m), optional
         progress : bool or callable, optional
-            True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
-            steps of the scheme.
+            True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers
+            of steps of the scheme.
 
         Returns
         -------
@@ -336,7 +335,7 @@ class Embedding(core.Constant):
         Raises
         ------
         ValueError, Exception
-            As of the class; ValueError also if a tau is negative.
+            As for the class; ValueError also if a tau is negative.
 
         Examples
         --------
@@ -349,12 +348,12 @@ class Embedding(core.Constant):
         return self._along(lib.dal_embedding_curve, tau, y, "y", progress)
 
     def source(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
-        """Return the y whose curve goes through z at tau - floor(tau) (ztilde).
+        """Return the start y of the curve through z at tau - floor(tau) (ztilde).
 
         Parameters
         ----------
         tau : array_like, shape () or (N,)
-            In units of h.
+            Time in units of h.
         z : array_like, shape (2n-m,) or (N, 2n-m), optional
 
         Returns
@@ -364,7 +363,7 @@ class Embedding(core.Constant):
         Raises
         ------
         ValueError, ConvergenceError, Exception
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -384,9 +383,9 @@ class Embedding(core.Constant):
         *,
         progress: Progress = False,
     ) -> Array:
-        """Return the state at t1 of the perturbed ODE that is in z at t0, to about 1e-12.
+        """Return the solution at t1 of the perturbed ODE that starts from z at t0, to about 1e-12.
 
-        From t0 to t0 + h for t0 = 0, h, 2 h, ... it is the scheme.
+        From t0 to t0 + h, with t0 a multiple of h, the flow is a step of the scheme.
 
         Parameters
         ----------
@@ -394,7 +393,7 @@ class Embedding(core.Constant):
             Times in the user's units; ``t1 < t0`` is allowed.
         z : array_like, shape (2n-m,), optional
         progress : bool or callable, optional
-            As of `curve`.
+            As for `curve`.
 
         Returns
         -------
@@ -403,7 +402,7 @@ class Embedding(core.Constant):
         Raises
         ------
         ValueError, ConvergenceError, Exception
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -436,11 +435,11 @@ class Embedding(core.Constant):
         Raises
         ------
         ValueError, ConvergenceError, Exception
-            As of the class.
+            As for the class.
 
         Examples
         --------
-        With the order of the scheme it hardly depends on h; with one more it grows as 1/h:
+        With the order of the scheme the bound hardly depends on h; with one more it grows as 1/h:
 
         >>> import dalembert as dal
         >>> for order in (2, 3):
@@ -452,9 +451,9 @@ class Embedding(core.Constant):
         return float(np.abs(self.g(TAUS, self._point(z, "z"))).max())
 
     def meaningful(self, z: ArrayLike | None = None) -> bool:
-        """Return whether ``|g|`` is at least 100 times as large as its noise somewhere in a period.
+        """Return whether ``|g|`` is at least 100 times its noise at some time in a period.
 
-        Where it is not, say for p = 4 and small h, g says nothing.
+        If not, for example for p = 4 and small h, the values of g are roundoff.
 
         Parameters
         ----------
@@ -467,7 +466,7 @@ class Embedding(core.Constant):
         Raises
         ------
         ValueError, ConvergenceError, Exception
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -479,9 +478,9 @@ class Embedding(core.Constant):
         return self.bound(z) > CLEAR * self.noise
 
     def measured_order(self, hs: Sequence[float] | None = None, z: ArrayLike | None = None) -> Fit:
-        """Return the order of the scheme as the slope of ``h^p |g|`` over h, log-log.
+        """Return the order of the scheme: the log-log slope of ``h^p |g|`` over h.
 
-        It does not depend on the p with which g is made.
+        The result does not depend on the order p of this embedding.
 
         Parameters
         ----------
@@ -492,13 +491,13 @@ class Embedding(core.Constant):
         Returns
         -------
         Fit
-            ``slope`` is the order, ``points`` how many of the steps were meaningful; at least
-            three of them are needed, over a factor of two in h.
+            ``slope`` is the order, ``points`` the number of meaningful steps.  At least three of
+            them are needed, over a factor of two in h.
 
         Raises
         ------
         ValueError, ConvergenceError, Exception
-            As of the class.
+            As for the class.
 
         Examples
         --------
@@ -533,25 +532,25 @@ def embedding(
     Parameters
     ----------
     system : System
-        Without a force, which may depend on time.
+        A system without force and independent of time.
     scheme : Scheme, str or float
-        Any but the reference flow.
+        Any scheme except the reference flow.
     h : float
         Step and period, in the user's units of time; not 0.
     order : int, optional
-        p, at least 1.  Default: what the scheme promises.
+        p, at least 1. Default: the promised order of the scheme.
     q0, v0 : array_like, shape (n,), optional
-        A state in D, where the coordinates are chosen and where g is looked at by default.
-        Default: that of the system.
+        A state in D, for the choice of coordinates and as default of ``z``.  Default: the system's
+        initial data.
     dependent : str or iterable of str, optional
-        Names of the m dependent coordinates, as of `Chart`.
+        Names of the m dependent coordinates, as for `Chart`.
     consistent : {"check", "project", "assume"}, optional
         As in `integrate`.
     tolerance : float, optional
-        Of the reference flow F, in [4.4e-16, 0.1].  Its error bounds what can be said about g: g
-        has a noise of about tolerance h^-(p+1).
+        Tolerance of the reference flow F, in [4.4e-16, 0.1].  It limits the accuracy of g, whose
+        noise is about tolerance h^-(p+1).
     numerical : bool, optional
-        True: F is the reference flow even where the system carries an exact solution.
+        True: F is the reference flow even if the system has an exact solution.
 
     Returns
     -------
@@ -564,7 +563,7 @@ def embedding(
     NotOnConstraintError
         If (q0, v0) is not in D.
     NotImplementedError
-        If the system has a force.
+        If the system has a force or depends on time.
     SingularError, DomainError
         If the coordinates cannot be chosen at (q0, v0).
 

@@ -1,4 +1,4 @@
-"""Which scheme, with which step, for a system, a time and an accuracy: by trying."""
+"""A recommended scheme and step, found by trial runs."""
 
 from __future__ import annotations
 
@@ -32,21 +32,20 @@ DRIFT = 2.0  # that of phases where the energy drifts, as it does with controlle
 
 @dataclass(frozen=True)
 class Tried:
-    """One scheme, tried.
+    """A scheme and its trial run.
 
     Attributes
     ----------
     scheme : str
     h : float or "auto"
     tolerance : float or None
-        Of "auto" and of the reference flow.
+        Tolerance of "auto" or of the reference flow.
     steps : int
-        To t_end.
+        Number of steps to t_end.
     error : float
-        What is expected of the state at t_end, relative to ``1 + abs(x_i)``; NaN if no run went
-        through.
+        Expected error of the state at t_end, relative to ``1 + abs(x_i)``; NaN if every run failed.
     seconds : float
-        What the run is expected to take.
+        Expected run time.
     """
 
     scheme: str
@@ -67,21 +66,22 @@ class Tried:
 
 @dataclass(frozen=True)
 class Recommendation:
-    """What `recommend` returns.
+    """The result of `recommend`.
 
     Attributes
     ----------
     arguments : dict
-        For `integrate`: ``dal.integrate(system, q0, v0, **found.arguments)``.
+        Arguments of `integrate`: ``dal.integrate(system, q0, v0, **found.arguments)``.
     scheme : str
     h : float or "auto"
     error : float
-        What is expected of the state at t_end, relative to ``1 + abs(x_i)``.
+        Expected error of the state at t_end, relative to ``1 + abs(x_i)``.
     seconds : float
-        What the run is expected to take.
+        Expected run time.
     why : str
+        The reasons for the choice.
     tried : tuple of Tried
-        All that was tried, the best first.
+        All trials, the best first.
     """
 
     arguments: dict[str, Any]
@@ -118,23 +118,27 @@ def recommend(
     t0: float = 0.0,
     inputs: Any = None,
 ) -> Recommendation:
-    """Return the scheme and the step that need the least time for an accuracy, by trying some.
+    """Find the scheme and step that reach an accuracy in the shortest run time.
 
-    Runs of some hundred milliseconds in all are compared with the reference flow: up to t_end, or,
-    where that is too far, up to a part of it, from which errors and times are extrapolated: errors
-    by the power of the time with which they grow there, at least the square where steps are not of
-    one size.  What happens only later is not seen.
+    The function compares trial runs with the reference flow, for some hundred milliseconds in all.
+    If t_end is too far, the runs end earlier, and times and errors are extrapolated.  Errors are
+    assumed to grow with the power of time observed in the trial; for variable steps at least with
+    its square.  Changes of the motion after the trial are not taken into account.
 
     Parameters
     ----------
     system : System
     q0, v0 : array_like, shape (n,), optional
-        Initial data in the user's units, both; neither: those of the system.
-    t_end, t0 : float, optional
+        Initial data in the user's units; pass both or neither.  Default: the system's initial data.
+    t_end : float
+        End time.
+    t0 : float, optional
+        Initial time, default 0.
     accuracy : float, optional
-        What the error of the state at t_end may be, relative to ``1 + abs(x_i)``, in [1e-13, 0.1].
+        Admissible error of the state at t_end, relative to ``1 + abs(x_i)``, in [1e-13, 0.1];
+        default 1e-6.
     inputs : array_like, shape (k,), or mapping, optional
-        Of the force of a system that takes k of them, for the whole run.
+        Inputs of a system that has k of them, constant over the whole run.
 
     Returns
     -------
@@ -143,10 +147,10 @@ def recommend(
     Raises
     ------
     ValueError
-        If an argument is out of range; or if nothing that was tried has the accuracy: the text
-        says what has the smallest error.
+        If an argument is out of range, or no trial reaches the accuracy.  The message then has the
+        trial with the smallest error.
     NotOnConstraintError, SingularError, ConvergenceError, DomainError
-        If the motion cannot be followed.
+        If the trial runs cannot follow the motion.
 
     Examples
     --------
@@ -190,7 +194,7 @@ def recommend(
 
 
 def _with_rows(one: Tried, span: float) -> Tried:
-    """Return what was tried with steps of one size as many as make ROWS rows, or more."""
+    """Return a trial with at least ROWS steps of fixed size, a multiple of the stride."""
     if one.steps == 0 or one.tolerance is not None:
         return one
     stride = _stride(one)
@@ -199,12 +203,12 @@ def _with_rows(one: Tried, span: float) -> Tried:
 
 
 def _stride(one: Tried) -> int:
-    """Return from which step to which a state is stored, for at most MOST_ROWS."""
+    """Return the stride for at most MOST_ROWS stored states."""
     return 1 if one.scheme == "reference" else math.ceil(one.steps / MOST_ROWS)
 
 
 def _rows(best: Tried, span: float) -> dict[str, Any]:
-    """Return the arguments for ROWS to MOST_ROWS rows, besides a number for h."""
+    """Return the arguments of `integrate` for ROWS to MOST_ROWS stored states, except a fixed h."""
     found: dict[str, Any] = {"stride": _stride(best)} if _stride(best) > 1 else {}
     if best.h == "auto" and best.steps < ROWS:
         found["h_max"] = abs(span) / ROWS
@@ -212,14 +216,14 @@ def _rows(best: Tried, span: float) -> dict[str, Any]:
 
 
 def _rank(one: Tried, accuracy: float) -> tuple[bool, float]:
-    """Those that are accurate by their time, before the others by their error."""
+    """Return the sort key: accurate trials first by their time, then the others by their error."""
     if one.error <= accuracy:
         return False, one.seconds
     return True, math.inf if math.isnan(one.error) else one.error
 
 
 def _why(pilot: _Pilot, tried: list[Tried], accuracy: float) -> str:
-    """Return why the first of them is the best, in words."""
+    """Return the reasons for the first trial, in words."""
     best = tried[0]
     accurate = [one for one in tried if one.error <= accuracy]
     words = [f"It needs the least time of {len(accurate)} that reach {accuracy:g}"]
@@ -240,7 +244,7 @@ def _why(pilot: _Pilot, tried: list[Tried], accuracy: float) -> str:
 
 
 class _Pilot:
-    """The part of the motion that is looked at, and what is right there."""
+    """The part of the motion used for trial runs, and its reference solution."""
 
     def __init__(self, system: System, x0: Array, t0: float, t_end: float, inputs: Any) -> None:
         self.system, self.x0, self.t0, self.t_end, self.inputs = system, x0, t0, t_end, inputs
@@ -263,7 +267,7 @@ class _Pilot:
 
     @property
     def doubt(self) -> str:
-        """What has to be said of the extrapolation."""
+        """A reservation about the extrapolation, or ""."""
         if self.growth >= GROWTH:
             return ", or faster: the motion may be chaotic, so that no scheme is accurate for long"
         return ""
@@ -283,7 +287,7 @@ class _Pilot:
         return (np.abs(x - self.exact) / (1.0 + np.abs(self.exact))).max(axis=1)
 
     def _growth(self, first: Solution) -> float:
-        """Return with which power of the time errors grow."""
+        """Return the power of time with which errors grow."""
         if self.part == 1.0:
             return 1.0
         quarter = (self.end - self.t0) / 4
@@ -296,17 +300,17 @@ class _Pilot:
         return min(max(power, 1.0), GROWTH)
 
     def power(self, tolerance: float | None) -> float:
-        """Return the power of the time with which errors are expected to grow."""
+        """Return the power of time with which errors of a scheme are expected to grow."""
         return self.growth if tolerance is None else max(self.growth, DRIFT)
 
     def error(self, run: Solution, tolerance: float | None = None) -> float:
-        """Return the error expected at t_end of a run up to the end of the pilot."""
+        """Return the expected error at t_end of a run up to the end of the pilot."""
         here = (np.abs(run.x[-1] - self.exact[2]) / (1.0 + np.abs(self.exact[2]))).max()
         return max(float(here), self.accuracy) * self.part ** -self.power(tolerance)
 
 
 def _try_all(pilot: _Pilot, accuracy: float) -> Iterator[Tried]:
-    """Yield the schemes, each with the longest step that seems accurate enough."""
+    """Yield a trial of each scheme with the longest step that seems accurate enough."""
     base, cheapest = pilot.base, math.inf
     for name in ("bm6", f"{base}-kl8", f"{base}-kl6", "bm4", f"{base}-ss10", base):
         one = _with_step(pilot, Scheme.find(name), accuracy, WORK * cheapest)
@@ -321,7 +325,7 @@ def _try_all(pilot: _Pilot, accuracy: float) -> Iterator[Tried]:
 
 
 def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> Tried:
-    """Return a scheme with the longest step that seems accurate enough, if it is found."""
+    """Return a trial of a scheme with the longest fixed step that seems accurate enough."""
     span = pilot.end - pilot.t0
     h, best = pilot.h * len(scheme.substeps) / 34, None
     failed = Tried(scheme.name, math.nan, None, 0, math.nan, math.inf)
@@ -354,7 +358,7 @@ def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> T
 
 
 def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
-    """Return a flow, or controlled steps, with the largest tolerance that seems small enough."""
+    """Return a trial with the largest tolerance that seems small enough."""
     least = 1e-14  # below which all is roundoff
     most = MOST if pilot.part == 1.0 else accuracy  # what is to come may need shorter steps
     step: Any = h
@@ -386,5 +390,5 @@ def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
 
 
 def _stored(h: Any) -> dict[str, Any]:
-    """Only the last state is stored."""
+    """Return the options with which only the last state is stored."""
     return {"stride": 2**40} if h == "auto" else {}

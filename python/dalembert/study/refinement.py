@@ -1,4 +1,4 @@
-"""Step-size refinement: the order of a scheme, measured and compared with what it promises."""
+"""Step-size refinement: the measured order of a scheme, compared with its promise."""
 
 from __future__ import annotations
 
@@ -54,24 +54,26 @@ def convergence(
     ----------
     system : System
     scheme : Scheme, str or float, optional
-        A record, the name of one, or beta.  Default: that of `integrate` for a number h.
+        A scheme, its name, or beta.  Default: the default of `integrate` for a number h.
     q0, v0 : array_like, shape (n,), optional
-        Initial data in D, in the user's units.  Default: those of the system.
+        Initial data in D, in the user's units.  Default: the system's initial data.
     t_end, t0 : float, optional
-        Interval of time, in the user's units.  Default: one unit; without ``steps`` 2, 4, 8 or 16
-        where the errors of a high order over less than that are too close to roundoff.
+        Interval of time, in the user's units.  The default is one unit.  Without ``steps`` it is 2,
+        4, 8 or 16 if the errors of a high order are too close to roundoff over less.
     steps : sequence of int, optional
-        Numbers of steps over the interval, no two of them equal.  The default depends on the
-        promised order: small steps, for high orders as small as the round-off floor allows.
+        Different numbers of steps over the interval.  The default depends on the promised order;
+        for high orders the steps are as small as roundoff allows.
     initial : {"D", "D_eps", "project", "shift"}, optional
-        How runs with kept nodes start; needed for them, and refused for others.
+        The meaning of the initial data, as for `integrate`; required for kept nodes and allowed
+        only there.
     tolerance : float, optional
-        Tolerance of the reference flow, in [4.4e-16, 0.1]; default 1e-14.  It is refused where
-        errors are measured against the exact solution of the system.
+        Tolerance of the reference flow, in [4.4e-16, 0.1]; default 1e-14.  Not allowed if errors
+        are measured against the exact solution of the system.
     max_steps : int, optional
-        More steps than these, of all runs together, are refused before the first one.
+        Largest total number of steps of all runs.  A larger study raises ValueError before the
+        first run.
     progress : bool or callable, optional
-        True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+        True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers of
         steps.
 
     Returns
@@ -81,9 +83,10 @@ def convergence(
     Raises
     ------
     ValueError
-        If an argument is out of range; the text names it.
+        If an argument is out of range.  The message names it.
     dalembert.DalembertError
-        If the reference flow fails.  A run that fails is a failed entry of the study instead.
+        If the reference flow fails.  A run that fails does not raise; its entries in the study are
+        NaN.
 
     Examples
     --------
@@ -133,7 +136,7 @@ def convergence(
 
 
 def _has_flow(system: System, record: Scheme, t0: float) -> bool:
-    """Return whether a study uses the reference flow: off D, or without an exact solution."""
+    """Return whether a study uses the reference flow: kept nodes, or no exact solution."""
     known = system._has_exact is None and system.has_exact  # to C
     autonomous = not (system.is_forced or system.is_time_dependent)
     return record.nodes == "kept" or not (known and (autonomous or t0 == 0.0))
@@ -142,7 +145,7 @@ def _has_flow(system: System, record: Scheme, t0: float) -> bool:
 def _measure(
     system: System, record: Scheme, given: dict[str, Any], total: int, progress: Progress
 ) -> dict[str, Any]:
-    """Return what C measures with a ``dal_order_def``, by the names of a `Study`."""
+    """Return the measurements of C for a ``dal_order_def``, by the names of a `Study`."""
     definition = ffi.new("dal_order_def *", given)
     points = ffi.new("dal_order_point[]", given["count"])
     order, error = ffi.new("dal_order *"), ffi.new("dal_error *")
@@ -193,13 +196,14 @@ def studies(
     schemes : Scheme, str or float, or iterable of them, optional
         Default: every named scheme.
     initial : {"D", "D_eps", "project", "shift"}, optional
-        How runs with kept nodes start.  Default: "D_eps".  It is refused if no scheme has them.
+        The meaning of the initial data for schemes with kept nodes, default "D_eps".  Not allowed
+        if no scheme has kept nodes.
     progress : bool or callable, optional
-        True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
-        schemes; the part of a scheme that is done counts.
+        True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers of
+        schemes, including fractions.
     q0, v0, t_end, t0, steps, tolerance, max_steps
-        As in `convergence`; the default of t_end is that of the highest order, for all schemes, and
-        max_steps is for all of them together.
+        As for `convergence`.  The default of t_end is that of the scheme of highest order, for all
+        schemes; max_steps limits the total over all schemes.
 
     Returns
     -------
@@ -209,9 +213,10 @@ def studies(
     Raises
     ------
     ValueError, dalembert.DalembertError
-        As `convergence`.
+        As for `convergence`.
     KeyboardInterrupt, Exception
-        Whatever ends it, Ctrl-C for one; ``.partial`` are the studies that were finished.
+        Any exception during the studies, such as KeyboardInterrupt; ``.partial`` has the finished
+        studies.
 
     Examples
     --------
@@ -261,7 +266,7 @@ def studies(
 
 @contextlib.contextmanager
 def _kept(found: dict[int, Study]) -> Iterator[None]:
-    """Give an exception the studies that were finished before it."""
+    """Attach the finished studies to any exception, as ``.partial``."""
     try:
         yield
     except BaseException as error:
@@ -270,7 +275,7 @@ def _kept(found: dict[int, Study]) -> Iterator[None]:
 
 
 def _default_duration(order: int, probe: Callable[..., Study]) -> int:
-    """Return the shortest interval over which errors of this order tell it, 1 if none does."""
+    """Return the shortest interval that reveals this order, or 1 if none does."""
     duration = 1
     while order > 2 and duration <= LONGEST:
         if not math.isnan(_clear(probe(duration, COARSE)).slope):
@@ -280,36 +285,35 @@ def _default_duration(order: int, probe: Callable[..., Study]) -> int:
 
 
 def _clear(study: Study) -> Fit:
-    """Return the fit of the one-step errors that the floor of those at the end leaves.
+    """Return the fit of the one-step errors above the floor of the errors at the end.
 
-    So steps are chosen that tell the order at the end too.
+    So the steps chosen reveal the order at the end too.
     """
     return Fit.of(study.h, study.local_error, study.floor)
 
 
 def _units(duration: float) -> int:
-    """Return how many units of time there are, about."""
+    """Return the number of units of time, rounded."""
     if not math.isfinite(duration):
         raise ValueError(f"t_end - t0 = {duration:g}: expected a finite interval of time")
     return max(1, round(abs(duration)))
 
 
 def _default_total(order: int, duration: float) -> int:
-    """Return how many steps the default numbers take at most, with those that are tried."""
+    """Return the largest number of steps that the default may take, trials included."""
     units = _units(duration)
     tried = 0 if order <= 2 else (sum(COARSE) + 4) * units + sum(COARSE) + len(COARSE)
     return sum(FINE) * units + 2 * tried
 
 
 def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> list[int]:
-    """Choose numbers of steps whose errors tell the order.
+    """Choose numbers of steps whose errors reveal the order.
 
-    One-step errors h^(p+1) have to stand clear of the floor, with h as small as that allows: they
-    are a power of h only in the limit.  Up to order 2 any small h will do.  For a higher order
-    ``probe`` studies steps from 1/80 of a unit of time up to all of it, and the finest over a
-    factor of two are taken.  The reactions, whose order is low whatever p is, need the small
-    h too: their errors c1 h + c2 h^2 may change their sign where h is not (the core fits the finer
-    half).
+    One-step errors h^(p+1) have to exceed the floor.  The steps are as small as that allows,
+    because errors are a power of h only in the limit.  Up to order 2 any small h will do.  For a
+    higher order ``probe`` tries steps from 1/80 of a unit of time to all of it.  The finest steps
+    over a factor of two are chosen.  The reactions, of low order for any p, also need small h:
+    their errors c1 h + c2 h^2 may change sign at large h.  C fits the finer half.
     """
     units = _units(duration)
     if order <= 2:
@@ -325,7 +329,7 @@ def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> 
 
 
 def _counts(steps: Iterable[int]) -> list[int]:
-    """Return numbers of steps as they are given; ValueError unless they are."""
+    """Return the numbers of steps; raise ValueError unless they are distinct positive integers."""
     places: dict[int, int] = {}
     try:
         for i, count in enumerate(steps):
@@ -345,7 +349,7 @@ def _counts(steps: Iterable[int]) -> list[int]:
 
 
 def _require_few(total: int, most: int) -> None:
-    """Raise ValueError where a study would take more steps than the caller has agreed to."""
+    """Raise ValueError if a study would take more steps than ``most``."""
     if total > most:
         raise ValueError(
             f"the study would take {total} steps in all, more than max_steps = {most}: take fewer "

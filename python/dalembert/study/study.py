@@ -1,4 +1,4 @@
-"""What step-size refinement has found: the numbers of `dal_order_study`, and the verdict."""
+"""The results of step-size refinement: the numbers of `dal_order_study`, and the verdict."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ..system import System
 
 
 def order(x: float) -> str:
-    """Return an order with two decimals, "-" if it is not known."""
+    """Return an order with two decimals, "-" if it is unknown."""
     return "-" if not math.isfinite(x) else f"{round(x, 2) + 0.0:.2f}"  # no -0.00
 
 
 def worst(values: Array) -> float:
-    """Return the largest of the values that are known."""
+    """Return the largest value that is not NaN."""
     return max((float(x) for x in values if math.isfinite(x)), default=math.nan)
 
 
@@ -52,11 +52,11 @@ class Fit:
     slope : float
         NaN if fewer than three points count.
     points : int
-        How many errors counted: those at least 100 times above the floor, which at ``t_end`` is
-        higher for runs of many steps, whose roundoff adds up.
+        Number of errors that counted, those above 100 times the floor.  At ``t_end`` the floor is
+        higher for runs of many steps, whose roundoff accumulates.
     exact : bool
-        True if every error is at the level of roundoff, so that there is no slope to fit, though
-        an order less than promised would be seen.
+        True if every error is at the level of roundoff, so there is no slope to fit.  Errors of an
+        order below the promise would be visible.
     counted : tuple of bool
         Which errors counted.
     """
@@ -73,13 +73,13 @@ class Fit:
 
     @classmethod
     def of(cls, h: Array, errors: Array, floor: float) -> Fit:
-        """Return the fit of errors over step sizes, of those that are clear of the floor."""
+        """Return the fit of those errors over step sizes that exceed the floor."""
         fit, counted = ffi.new("dal_fit *"), ffi.new("unsigned char[]", len(h))
         lib.dal_fit_order(len(h), core.pointer(h), core.pointer(errors), floor, fit, counted)
         return cls.read(fit, map(bool, counted))
 
     def order(self, loss: int = 0) -> str:
-        """Return ``slope - loss`` in words: a number, "exact", or "-" if it is not known."""
+        """Return ``slope - loss`` in words: a number, "exact", or "-" if unknown."""
         if self.exact:
             return "exact"
         return order(self.slope - loss)
@@ -87,10 +87,10 @@ class Fit:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study:
-    """What step-size refinement found for one scheme on one system.
+    """The results of step-size refinement of one scheme on one system.
 
-    Arrays have shape ``(k,)``, one entry for each step size.  Errors are largest components of
-    differences, in the user's units; an entry of a run that failed is NaN.
+    Arrays have shape ``(k,)``, one entry for each step size.  An error is the largest component of
+    a difference, in the user's units; it is NaN if the run failed.
 
     Attributes
     ----------
@@ -100,27 +100,28 @@ class Study:
     t0, t_end : float
         Interval of time.
     initial : str or None
-        How runs with kept nodes started.
+        The meaning of the initial data for kept nodes.
     steps : ndarray of int
-        Numbers of steps, in the order in which they were given.
+        Numbers of steps, in the given order.
     h : ndarray
         Step sizes ``(t_end - t0) / steps``.
     q_error, v_error, multiplier_error : ndarray
-        At ``t_end``, against the reference; the multipliers by the formula lambda(q, v).
+        Errors at ``t_end``; the multipliers are those of the formula lambda(q, v).
     local_error, local_multiplier_error : ndarray
-        Of (q, v) and of lambda(q, v) after one step from exact data.
+        Errors of (q, v) and of lambda(q, v) after one step from exact data.
     local_reaction_error, local_midpoint_error : ndarray
-        Of the scheme's own multiplier of that step, against lambda at its end and at its middle.
+        Errors of the scheme's own multiplier of that step, compared with lambda at the end and at
+        the middle of the step.
     residual, residual_eps : ndarray
-        Worst relative residual of D and of D_eps over the run; the latter is NaN for a scheme
-        with several sub-steps, which has no D_eps.
+        Worst relative residual of D and of D_eps over the run.  The second is NaN for a scheme with
+        several sub-steps, which has no D_eps.
     energy_error : ndarray
         ``max |E - E0| / max(|E0|, 1)`` over the run.
     failed : ndarray of int
-        Status of each run, 0 if it went through.
+        Status of each run, 0 for success.
     fits : dict of str to Fit
-        "state", "multipliers", "reaction", "midpoint" of the one-step errors, "global_q",
-        "global_v", "global_multipliers", "global_state" of the errors at ``t_end``.
+        Fits by name.  One-step errors: "state", "multipliers", "reaction", "midpoint".  Errors at
+        ``t_end``: "global_q", "global_v", "global_multipliers", "global_state".
     p, s : float
         Measured order of (q, v) and of the scheme's own multipliers, slopes of the one-step
         errors minus 1.
@@ -129,12 +130,12 @@ class Study:
     reference : float
         Accuracy of the reference solution, 0 for an exact one.
     keeps_D, keeps_D_eps : bool
-        Whether the residual stayed at roundoff at every stored state of every run.
+        Whether the residual stayed at roundoff after every step of every run.
     holds : bool or None
-        The verdict; None if nothing is promised or the errors do not tell.
+        The verdict; None if nothing is promised or the errors are inconclusive.
     measurable : bool
-        False if they do not because smaller steps would make them roundoff: the promised order
-        cannot be measured in double from these data and over this interval.
+        False if they are inconclusive because smaller steps would reduce them to roundoff.  The
+        promised order cannot be measured in double precision from these data over this interval.
     text : str
         The verdict in words.
     """
@@ -179,18 +180,18 @@ class Study:
     def q_orders(self) -> Array:
         """Local orders of ``q_error`` between neighbours, shape (k,).
 
-        NaN for the first entry, and where an error is too close to roundoff to count.
+        An entry is NaN if it is the first, or if an error is too close to roundoff to count.
         """
         return self._local_orders(self.q_error, "global_q")
 
     @property
     def v_orders(self) -> Array:
-        """Local orders of ``v_error``, as `q_orders`."""
+        """Local orders of ``v_error``, as for `q_orders`."""
         return self._local_orders(self.v_error, "global_v")
 
     @property
     def multiplier_orders(self) -> Array:
-        """Local orders of ``multiplier_error``, as `q_orders`."""
+        """Local orders of ``multiplier_error``, as for `q_orders`."""
         return self._local_orders(self.multiplier_error, "global_multipliers")
 
     def _local_orders(self, error: Array, fit: str) -> Array:
@@ -203,19 +204,20 @@ class Study:
     def promised(self) -> tuple[int, int]:
         """The (p, s) that the scheme promises for a step from this start.
 
-        Kept nodes that start in D jump to D_eps in the first step, which costs one order of each.
+        With kept nodes, a start in D jumps to D_eps in the first step, which costs one order of
+        each.
         """
         jump = self.initial == "D" and self.scheme.shift(1.0) > 0.0
         return self.scheme.order - jump, self.scheme.multiplier_order - jump
 
     @property
     def promise(self) -> str:
-        """The promised (p, s) in words, "nothing" for a record without a promise."""
+        """The promised (p, s) in words; "nothing" for a scheme without a promise."""
         return "nothing" if self.scheme.order == 0 else str(self.promised)
 
     @property
     def keeps(self) -> str:
-        """Which set the runs kept to roundoff: "D", "D_eps", "D and D_eps" or "neither"."""
+        """The set that the runs preserved to roundoff: "D", "D_eps", "D and D_eps" or "neither"."""
         kept = [
             name for name, is_kept in (("D", self.keeps_D), ("D_eps", self.keeps_D_eps)) if is_kept
         ]
@@ -223,10 +225,10 @@ class Study:
 
     @property
     def verdict(self) -> str:
-        """The verdict in short.
+        """The verdict in one or two words.
 
-        "holds", "exact" to roundoff, "fails", "no promise", "undecided", or "not measurable" in
-        double.
+        One of "holds", "exact" (to roundoff), "fails", "no promise", "undecided" and "not
+        measurable" (in double precision).
         """
         if not self.measurable:
             return "not measurable"
@@ -245,7 +247,7 @@ class Study:
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, strings and lists, ready for JSON.
 
-        What is not finite is None.
+        Numbers that are not finite become None.
         """
         computed = ("q_orders", "v_orders", "multiplier_orders", "verdict")
         names = [*(x.name for x in dataclasses.fields(self)), *computed]
@@ -289,7 +291,7 @@ class Studies(Sequence[Study]):
         return False if False in verdicts else True if True in verdicts else None
 
     def sentence(self) -> str:
-        """Return the verdict of all in one sentence."""
+        """Return the verdict of all studies in one sentence."""
         if not self:
             return "No scheme was studied."
         system = self[0].system.name
@@ -335,7 +337,7 @@ class Studies(Sequence[Study]):
 
 
 def _plain(x: Any) -> Any:
-    """Return numbers, arrays and what holds them as JSON has them; what is not finite is None."""
+    """Return numbers, arrays and containers as JSON types; None for numbers that are not finite."""
     if isinstance(x, dict):
         return {key: _plain(value) for key, value in x.items()}
     if isinstance(x, np.ndarray):

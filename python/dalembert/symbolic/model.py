@@ -622,7 +622,7 @@ class Model:
 def _structure(e: Expr) -> str:
     """Return a text that two expressions share only if they are equal.
 
-    As ``srepr``, which sorts again what SymPy has sorted, and takes ten times as long.
+    As for ``srepr``, which sorts again what SymPy has sorted, and takes ten times as long.
     """
     if not e.args:
         return str(sympy.srepr(e))

@@ -67,7 +67,7 @@ def get(name: str, /, **parameters: float) -> System:
     name : str
         One of `names` or `names_in_sympy`; ``-`` and ``_`` are the same.
     **parameters : float
-        As ``System.parameters`` lists them, in the user's units.
+        As for ``System.parameters`` lists them, in the user's units.
 
     Raises
     ------
