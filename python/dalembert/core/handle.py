@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import arguments
 from .arguments import Array, shown
 from .errors import call, make, name_of, verify
 from .functions import differenced
@@ -206,7 +207,7 @@ class Handle(Constant):
         >>> sleigh.unit("v_x"), sleigh.unit("v_theta"), sleigh.unit("y")
         ('m/s', 'rad/s', '')
         """
-        base = name.removeprefix("v_")
+        base = arguments.text(name, "name").removeprefix("v_")
         if name in self._units or name in self.coordinates or base not in self.coordinates:
             return self._units.get(name, "")
         if not {base, "t"} <= self._units.keys():

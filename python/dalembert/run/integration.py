@@ -210,6 +210,7 @@ def integrate(
         If the result is doubtful:
 
         - q0, or the end of the run, violates a position constraint;
+        - a coordinate is so large that doubles do not resolve the motion;
         - h is too large, or the energy jumped although nothing does work;
         - the energy was not kept in some steps of ``energy="keep"``;
         - many steps needed the full Newton iteration, so h is large for this system, or its
@@ -257,7 +258,7 @@ def integrate(
     if chosen.is_series:
         require_supported(system)
     x0 = geometry.initial_state(system, q0, v0)
-    doubt_positions(system, x0, t0, consistency)
+    doubt_start(system, x0, t0, consistency)
     listed = take_events(events)
     times = None if t_eval is None else _times(t_eval, sizes)
     inputs = take_inputs(system, inputs)
@@ -493,13 +494,32 @@ def _say(doubt: str, stacklevel: int) -> None:
         _quiet.warned.append(doubt)
 
 
-def doubt_positions(system: System, x: Array, t: float, consistency: int = lib.DAL_CHECK) -> None:
-    """Warn of initial data that violate a position constraint, unless assumed consistent."""
-    if consistency != lib.DAL_ASSUME and (off := system.off_positions(x[: system.n], t)):
+def doubt_start(system: System, x: Array, t: float, consistency: int = lib.DAL_CHECK) -> None:
+    """Warn of initial data that spoil every run, unless assumed consistent.
+
+    They violate a position constraint, or a coordinate is so large that the acceleration differs
+    from one double to the next.
+    """
+    if consistency == lib.DAL_ASSUME:
+        return
+    n = system.n
+    if off := system.off_positions(x[:n], t):
         _say(
             f"q0 is off a position constraint, and the motion stays off it: {off}; change q0, or "
             "pass consistent='assume'", 4,
         )  # fmt: skip
+    for i in np.flatnonzero(abs(x[:n]) > LARGE):
+        beside = x.copy()
+        beside[i] = np.nextafter(x[i], 0.0)
+        states = np.array([x, beside])
+        with contextlib.suppress(Exception):  # the run raises it
+            here, there = geometry.acceleration(system, states[:, :n], states[:, n:], t)
+            if abs(there - here).max() > COARSE * abs(np.array([here, there])).max():
+                _say(
+                    f"q0[{i}] = {x[i]:g} is too large: the next double is {np.spacing(x[i]):g} "
+                    "away, and the acceleration there is another. Subtract whole turns from an "
+                    "angle, or move the origin of a length", 4,
+                )  # fmt: skip
 
 
 def _warn_of_drift(solution: Solution) -> None:
@@ -513,6 +533,8 @@ def _warn_of_drift(solution: Solution) -> None:
         )
 
 
+LARGE = 1e9  # below it doubles have seven digits behind the point
+COARSE = 1e-3  # of the acceleration, from one double to the next
 LARGE_ERROR = 0.05  # of the last state, relative to its size
 
 

@@ -12,7 +12,7 @@ from ..core import Array, arguments, ffi, lib, require_system
 from ..core.errors import raised
 from ..system import System
 from .events import CONSISTENCY
-from .integration import doubt_positions
+from .integration import doubt_start
 from .options import kind_of, require
 from .runs import one_row, started_stepper
 from .scheme import Scheme
@@ -93,7 +93,7 @@ class Stepper:
             system, self.scheme, self._x0, t0=self._t0, h=step, consistency=self._how[0],
             initial=self._how[1], options=options, inputs=self._u0,
         )  # fmt: skip
-        doubt_positions(system, self._x0, self._t0, self._how[0])
+        doubt_start(system, self._x0, self._t0, self._how[0])
         self._u = self._u0.copy()
         self._c_u = core.pointer(self._u)
         self._mean = np.full(system.m, np.nan)
@@ -249,7 +249,7 @@ class Stepper:
         arguments.pair(q, v, ("q", "v"), " for those of the start")
         x = self._x0 if q is None else geometry.initial_state(self.system, q, v, "q", "v")
         t = self._t0 if t is None else arguments.number(t, "t")
-        doubt_positions(self.system, x, t, self._how[0])
+        doubt_start(self.system, x, t, self._how[0])
         before = self.inputs
         self._set(self._u0)
         try:

@@ -14,7 +14,7 @@ from .. import core, geometry
 from ..core import arguments, extras, ffi, lib, require_system
 from ..core.extras import Progress
 from ..run import Scheme
-from ..run.integration import doubt_positions
+from ..run.integration import doubt_start
 from ..run.options import kind_of, require
 from ..run import schemes as named_schemes
 from ..system import System
@@ -106,7 +106,7 @@ def convergence(
         )
     start = record._initial(initial)
     x0 = geometry.initial_state(system, q0, v0)
-    doubt_positions(system, x0, t0)
+    doubt_start(system, x0, t0)
     max_steps = arguments.integer(max_steps, "max_steps", 1)
     options = {"t0": t0, "initial": initial, "tolerance": tolerance, "max_steps": max_steps}
 

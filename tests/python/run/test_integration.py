@@ -438,6 +438,21 @@ def test_data_in_D_to_1e_8_are_corrected(particle):
     assert 0 < run.stats.initial_correction < 2e-9
 
 
+@pytest.mark.parametrize(("heading", "told"), [(1e12, False), (1e14, True), (1e300, True)])
+def test_a_heading_that_doubles_do_not_resolve_is_told(heading, told):
+    x, y, theta = dal.coordinates("x y theta")
+    blade = dal.System.from_sympy(
+        (x.d**2 + y.d**2 + theta.d**2) / 2, [sp.sin(theta) * x.d - sp.cos(theta) * y.d]
+    )
+    q0, v0 = [1e300, 1e17, heading], [np.cos(heading), np.sin(heading), 1.0]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        dal.integrate(blade, "leapfrog", q0, v0, h=0.01, steps=10)
+        dal.Stepper(blade, "leapfrog", q0, v0, h=0.01).reset(q0, v0)
+    texts = [str(w.message) for w in caught]
+    assert len(texts) == 3 * told and all(f"q0[2] = {heading:g} is too large" in t for t in texts)
+
+
 def test_integers_and_strided_initial_data(particle):
     q0, v0 = np.array([0, 9, 1, 9, 0])[::2], np.ones((3, 2))[:, 0]
     run = dal.integrate(particle, "midpoint", q0, v0, h=0.1, steps=3)

@@ -59,6 +59,8 @@ def test_units_of_what_is_known():
 def test_a_coordinate_that_is_called_as_a_velocity():
     system = dal.System(mass=[1, 1], coordinates=["x", "v_x"], units={"x": "m", "t": "s"})
     assert system.unit("v_x") == ""  # the coordinate
+    with pytest.raises(ValueError, match="name = 1: expected a string"):
+        system.unit(1)
     assert system.unit("v_v_x") == "" and system.with_units(v_x="kg").unit("v_x") == "kg"
 
 
