@@ -1,4 +1,4 @@
-"""Ensembles: many runs of a system, on threads, on other processes, on clusters."""
+"""Ensembles: many runs of a system, in threads, other processes, or on clusters."""
 
 from .design import Design, grid, sample
 from .making import ensemble, open_ensemble

@@ -1,4 +1,4 @@
-"""What an ensemble is asked for: its members, and what is kept of them."""
+"""The definition of an ensemble: its members, and the results kept for each."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _TAILS = {"q0": 1, "v0": 1, "inputs": 2}  # how many axes a member has, of what 
 
 @dataclass(frozen=True)
 class Given:
-    """Values for members: the last axes are those of one member, those before are broadcast."""
+    """Values for members: the last ``tail`` axes belong to one member, the others broadcast."""
 
     values: Array
     tail: int = 0  # how many axes one member has
 
     @property
     def leading(self) -> tuple[int, ...]:
-        """The shape of what is broadcast."""
+        """Shape of the axes that broadcast."""
         return self.values.shape[: self.values.ndim - self.tail]
 
     @property
@@ -52,7 +52,7 @@ class Given:
     def rows(self, shape: tuple[int, ...], begin: int, end: int) -> Array:
         """Return the values of the members begin .. end - 1 of an ensemble of this shape.
 
-        One row stands for all members where they have the same.
+        The result has one row if all members have the same values.
         """
         leading, tail = self.leading, self.values.shape[len(self.leading) :]
         if not self.varies:
@@ -66,7 +66,7 @@ class Given:
 
 
 def _given(value: ArrayLike, name: str, *tail: int | None) -> Given:
-    """Return values whose last axes are these; None for any length."""
+    """Return values with these last axes, None for any length."""
     shape = np.shape(value) if arguments.shape(value) == np.shape(value) else None
     if shape is None or len(shape) < len(tail):
         arguments.array(value, name, tuple(tail))
@@ -81,20 +81,20 @@ def _given(value: ArrayLike, name: str, *tail: int | None) -> Given:
 
 @dataclass(frozen=True)
 class Kept:
-    """What is kept of each member.
+    """The results kept for each member.
 
     Attributes
     ----------
     at_end : bool
-        Its last state alone; else a row for each stride steps.
+        Only the last state; otherwise a row for each stride steps.
     states : bool
-        Its states.
+        The states.
     measures : tuple of str
         "energy", "residual", "multipliers", "reactions".
     columns : mapping of str to int
-        Coordinates and velocities by name, and which number of a state they are.
+        Name of a coordinate or velocity to its place in a state.
     reduce : callable or None
-        A function of its `Solution`, instead of all that.
+        A function of the `Solution` whose result is kept instead of all others.
     """
 
     at_end: bool
@@ -105,7 +105,7 @@ class Kept:
 
     @classmethod
     def of(cls, keep: Any, system: System) -> Kept:
-        """Return what the argument ``keep`` asks for."""
+        """Return the results that the argument ``keep`` requests."""
         if callable(keep):
             arguments.function(keep, "keep", "run")
             return cls(at_end=False, reduce=keep)
@@ -139,7 +139,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Setting:
-    """What all members have in common."""
+    """The properties common to all members."""
 
     system: System
     scheme: Scheme
@@ -158,16 +158,16 @@ class Setting:
 
 @dataclass(frozen=True)
 class Ask:
-    """An ensemble before it is made.
+    """The definition of an ensemble.
 
     Attributes
     ----------
     shape : tuple of int
-        Of what was broadcast; the members are numbered in C order.
+        Shape of the broadcast arguments; the members are numbered in C order.
     axes : tuple of str
-        Names of its axes.
+        Names of the axes.
     ticks : dict of ndarray
-        Values along axes, by their names, where they have any.
+        Values along axes, by the name of the axis.
     """
 
     setting: Setting
@@ -183,14 +183,14 @@ class Ask:
     lacks: tuple[str, ...] = ()  # functions of it that a store does not keep
 
     def arrays(self) -> dict[str, Array]:
-        """Return what was given for members, by names from which `of_arrays` knows it."""
+        """Return the values for members, by the names that `of_arrays` expects."""
         found = {name: getattr(self, name) for name in (*_TAILS, "h", "steps")}
         found |= {f"parameters.{name}": x for name, x in self.parameters.items()}
         return {name: x.values for name, x in found.items() if x is not None}
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, Array], **more: Any) -> Ask:
-        """Return an ask from what `arrays` has returned, and all else."""
+        """Return the definition from the result of `arrays` and the other attributes."""
         given = {name: Given(x, _TAILS.get(name, 0)) for name, x in arrays.items()}
         parameters = {
             name.removeprefix("parameters."): x
@@ -206,14 +206,14 @@ class Ask:
 
     @property
     def rows(self) -> int:
-        """The number of rows that are kept of each member."""
+        """The number of rows kept for each member."""
         stride = self.setting.stride
         return 1 if stride == 0 else int(self.steps.values.flat[0]) // stride + 1
 
     def block(self, begin: int, end: int) -> dict[str, Array]:
-        """Return what is given for the members begin .. end - 1: one row where all have the same.
+        """Return the values for the members begin .. end - 1; one row if all members have the same.
 
-        "x" and "parameters" are not there where they are those of the system.
+        "x" and "parameters" are absent if they are those of the system.
         """
         setting, shape, count = self.setting, self.shape, end - begin
         found = {"h": self.h.rows(shape, begin, end), "steps": self.steps.rows(shape, begin, end)}
@@ -236,7 +236,7 @@ class Ask:
 
 
 def members_shape(given: Mapping[str, Given | None]) -> tuple[int, ...]:
-    """Return what the leading axes are broadcast to; ValueError if they do not go together."""
+    """Return the broadcast shape of the leading axes; raise ValueError if they do not match."""
     leading = {name: x.leading for name, x in given.items() if x is not None and x.leading}
     try:
         return np.broadcast_shapes(*leading.values())
@@ -253,7 +253,7 @@ def read_members(
     inputs: Any,
     holds: int,
 ) -> dict[str, Any]:
-    """Return what was given for members, each as `Given`, or None."""
+    """Return the arguments for members, each as `Given`, or None."""
     n = system.n
     arguments.pair(q0, v0, ("q0", "v0"), " for those of the system")
     if q0 is None and system.q0 is None:
@@ -276,7 +276,7 @@ def read_members(
 
 
 def _inputs(inputs: Any, system: System, holds: int) -> Given:
-    """Return rows of inputs: those of all members, or with axes in front for each."""
+    """Return rows of inputs for all members, or, with leading axes, for each."""
     if isinstance(inputs, Mapping) or np.ndim(inputs) <= 2:
         return Given(arguments.inputs(inputs, system.inputs, holds), 2)
     if not system.inputs:
@@ -287,7 +287,7 @@ def _inputs(inputs: Any, system: System, holds: int) -> Given:
 def axes_of(
     shape: tuple[int, ...], given: Any, parameters: Any
 ) -> tuple[tuple[str, ...], dict[str, Array]]:
-    """Return names of the axes, and values along them: as given, or those of a grid."""
+    """Return the names of the axes and the values along them, as given or from a grid."""
     if given is None and isinstance(parameters, Design) and parameters.shape == shape:
         ticks = {x: parameters.compact(x).reshape(-1) for x in parameters.axes if x in parameters}
         return parameters.axes, ticks

@@ -1,4 +1,4 @@
-"""Designs: which values the parameters, or whatever has a name, take in an ensemble."""
+"""Designs: the values of parameters in an ensemble."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _METHODS = {"sobol": "Sobol", "halton": "Halton", "lhs": "LatinHypercube"}
 
 
 class Design(Mapping[str, Array]):
-    """Values by name, arrays of one shape, as the ``parameters`` of `dalembert.ensemble`.
+    """Values by name, arrays of one shape, for the ``parameters`` of `dalembert.ensemble`.
 
     Attributes
     ----------
     shape : tuple of int
-        Of each of them; an ensemble has its product of members.
+        Shape of each array; its product is the number of members.
     axes : tuple of str
-        What the axes are called: the names of a grid, or "member".
+        Names of the axes: the names in a grid, or "member".
     """
 
     def __init__(self, values: Mapping[str, Array], axes: tuple[str, ...]) -> None:
@@ -39,7 +39,7 @@ class Design(Mapping[str, Array]):
         return len(self._values)
 
     def compact(self, name: str) -> Array:
-        """Return values of a name with axes of length 1 where they do not change."""
+        """Return the values of a name, with length 1 along axes on which they are constant."""
         return self._values[name]
 
     def __repr__(self) -> str:
@@ -63,7 +63,7 @@ def grid(**values: ArrayLike) -> Design:
     Raises
     ------
     ValueError
-        If there are none, or they are not finite numbers in one row.
+        If there are no values, or if they are not finite numbers in one dimension.
 
     Examples
     --------
@@ -91,19 +91,19 @@ def grid(**values: ArrayLike) -> Design:
 
 
 def sample(count: int, *, seed: int = 0, method: str = "sobol", **ranges: Any) -> Design:
-    """Return values that fill ranges evenly, by a quasi-random sequence of ``scipy.stats.qmc``.
+    """Return values that fill ranges evenly, from a quasi-random sequence of ``scipy.stats.qmc``.
 
     Parameters
     ----------
     count : int
-        How many; a power of 2 is best for "sobol".
+        Number of values; for "sobol" preferably a power of 2.
     seed : int, optional
         The same seed gives the same values.
     method : {"sobol", "halton", "lhs"}, optional
         The sequence, scrambled; "lhs" is Latin hypercube sampling.
     **ranges : pair of float, or distribution
-        For each name the least and the largest value, or a distribution of ``scipy.stats``, as
-        ``norm(1, 0.1)``.
+        For each name the smallest and the largest value, or a distribution of ``scipy.stats`` such
+        as ``norm(1, 0.1)``.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def sample(count: int, *, seed: int = 0, method: str = "sobol", **ranges: Any) -
     Raises
     ------
     ValueError
-        If a range is not one.
+        If a range is invalid.
     ImportError
         If SciPy is not installed.
 

@@ -1,4 +1,4 @@
-"""What tells functions of Python from others: their code, and what they refer to."""
+"""Digests of Python functions: their code, and the values that they refer to."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 
 
 def digest(function: Any) -> str:
-    """Return a digest of a function; "" for none.
+    """Return a digest of a function, "" for None.
 
-    It is of its code, of that of the functions that it refers to, and of numbers, texts and arrays
-    that it refers to, closes over, or has as defaults.
+    The digest covers the code of the function and of the functions that it refers to.  It also
+    covers numbers, texts and arrays among its globals, closure and defaults.
 
     Examples
     --------
@@ -29,7 +29,7 @@ def digest(function: Any) -> str:
 
 
 def _text(value: Any, seen: set[int]) -> str:
-    """Return a text that is the same for the same value in another process, as far as can be."""
+    """Return a text for a value that is the same in another process, as far as possible."""
     if id(value) in seen:
         return "again"
     if isinstance(value, types.FunctionType):

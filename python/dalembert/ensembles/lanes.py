@@ -1,4 +1,4 @@
-"""Systems whose steps are made for several members at once."""
+"""Systems whose steps advance several members at once with vector instructions."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _CLOSE = 1e-10  # of two ways to compute the field, relative to its largest comp
 
 @functools.lru_cache(maxsize=8)
 def twin(system: System) -> System | None:
-    """Return a system with the same steps that has them in lanes; None if there is none.
+    """Return a system with the same steps in vector lanes; None if there is none.
 
-    That of a system of expressions is the same, compiled again.  One that is written in C has
-    formulas, which are compiled; whether they say the same is seen from the field.
+    A system from expressions is compiled again.  For a system written in C, its formulas are
+    compiled, and the field of the result is compared with that of the system.
     """
     if not extras.is_there("sympy"):
         return None

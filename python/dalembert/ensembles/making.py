@@ -1,4 +1,4 @@
-"""An ensemble from its arguments, and from its store."""
+"""Ensembles, from arguments or from a store."""
 
 from __future__ import annotations
 
@@ -75,60 +75,66 @@ def ensemble(
     block: int | None = None,
     progress: Progress = True,
 ) -> Ensemble:
-    """Integrate many runs of a system: other initial data, parameters, step sizes.
+    """Integrate many runs of a system with other initial data, parameters or step sizes.
 
-    Each member has the bits that `integrate` gives it by itself, whoever makes it and in whatever
-    order.  What fails is one entry.
+    Each member gives bitwise the same result as its own `integrate` call, on any number of threads
+    or machines.  A member that fails is recorded with its error message.
 
     Parameters
     ----------
     system : System
     scheme : Scheme, str or float, optional
-        Default: that of `integrate` for a number h.
+        Default: the default of `integrate` for a number h.
     q0, v0 : array_like, shape (..., n), optional
-        Initial data, both; neither: those of the system with the parameters of each member.  The
-        axes in front are those of the members, and are broadcast, as all that is given for them.
+        Initial data; pass both or neither.  Default: the initial data of the system with the
+        parameters of each member.  Leading axes are those of the members; the leading axes of all
+        arguments broadcast.
     parameters : mapping of str to array_like, shape (...), or Design, optional
-        Values of parameters; see `grid` and `sample`.  Others are those of the system.
+        Values of parameters; see `grid` and `sample`.  Other parameters are those of the system.
     h : array_like, shape (...)
         Step size.
     t_end, steps, t0 : float, int, float, optional
-        As for `integrate`; the same for all.
+        As for `integrate`; the same for all members.
     stride : int, optional
-        From row to row of what is kept; default 1.  The end alone has none.
+        Number of steps between rows of the results; default 1.  Not allowed if only the end is
+        kept.
     keep : str, sequence of str or callable, optional
-        "end": the last state, as ``q`` and ``v``.  "all": every stride-th state.  Names: of
-        coordinates ("theta") and velocities ("v_theta"), "energy", "residual", "multipliers",
-        "reactions", every stride steps, or at the end if "end" is among them.  A function of a
-        `Solution` that returns a number, an array, or a mapping from names to such: that is kept
-        instead.
+        The results to keep.
+
+        - "end" (default): the last state, as ``q`` and ``v``.
+        - "all": every stride-th state.
+        - Names: coordinates ("theta"), velocities ("v_theta"), "energy", "residual", "multipliers",
+          "reactions"; every stride steps, or at the end if "end" is among them.
+        - A function of a `Solution` that returns a number, an array, or a mapping from names to
+          numbers or arrays.
     inputs : array_like, mapping or callable, optional
-        Inputs, as for `integrate`; or with leading axes, shape (..., holds, k).
-        Expressions are evaluated in C with the parameters of each member.
+        Inputs as for `integrate`, or with leading axes, shape (..., holds, k).  Expressions are
+        evaluated in C with the parameters of each member.
     hold, events, consistent, initial, max_iterations, energy, method, tolerance : optional
-        As for `integrate`.  Events and resets that are expressions are computed in C.
+        As for `integrate`.  Events and resets given as expressions are computed in C.
     axes : sequence of str, or mapping of str to array_like, optional
-        Names of the axes of the members, and values along them, for pictures and xarray.  Default:
-        those of a `grid`.
+        Names of the axes of the members, and values along them, for plots and xarray.  Default: the
+        axes of a `grid`.
     executor : concurrent.futures.Executor, or function that returns one, optional
-        Who makes the members, in blocks of some seconds: a ``ProcessPoolExecutor``, dask's
+        Executor of blocks of members, each of some seconds: a ``ProcessPoolExecutor``, dask's
         ``client.get_executor(pure=False)``, ...  Default: threads of this process.
     threads : int, optional
-        How many; default: one for each processor.
+        Number of threads; default: one for each processor.
     lanes : bool, optional
-        Whether several members are stepped at once by vector instructions, 3 to 6 times as many in
-        the same time: of systems with constant mass, linear constraints, and no forces of v, with
-        n <= 8, without events, inputs and ``energy``.  Others are stepped one by one, with a
-        warning; ``lanes`` of the result says how it was.  A member then has the same bits whatever
-        the order, the threads and its neighbours on the same kind of machine; those of `integrate`
-        to about 1e-12 over 1000 steps, as vector sines differ in the last bit.
+        Advance several members at once with vector instructions, 3 to 6 times as fast.  Requires
+        constant mass, linear constraints, no forces that depend on v, n <= 8, and no events, inputs
+        or ``energy``.  Otherwise members are advanced one by one, with a warning; ``lanes`` of the
+        result says which.  The bits of a member then do not depend on other members, their order or
+        the threads, on one kind of machine.  They differ from those of `integrate` by about 1e-12
+        over 1000 steps, because vector sines differ in the last bit.
     store : str or path, optional
-        A directory that gets the results, a file for each block.  Called again with the same
-        arguments, what is there is not made again, whatever ended the process.
+        A directory for the results, one file for each block.  After an interruption, the same call
+        resumes: finished blocks are not computed again.
     block : int, optional
-        Members of a block; default: as many as some seconds take.
+        Number of members in a block; default: as many as take some seconds.
     progress : bool or callable, optional
-        As for `integrate`, with numbers of members; the bar is shown where tqdm is installed.
+        As for `integrate`, with numbers of members.  By default a bar is shown if tqdm is
+        installed.
 
     Returns
     -------
@@ -137,24 +143,22 @@ def ensemble(
     Raises
     ------
     ValueError
-        If an argument is out of range, or any number is not finite; the message names it.  What a
-        member by itself is refused for, as initial data that are not in D or a parameter out of
-        its range, is its entry.
+        If an argument is out of range, or a number is not finite.  The message names it.  An error
+        of one member, such as initial data off D or a parameter out of range, is recorded instead.
     StoreError
-        If a file of the store is damaged, or of another ensemble.
+        If a file of the store is damaged, or belongs to another ensemble.
     KeyboardInterrupt
-        With ``.partial``, what was made before Ctrl-C.
+        On Ctrl-C; ``.partial`` has the results so far.
 
     Warns
     -----
     DalembertWarning
-        If members are doubtful, for a reason that `integrate` would warn of; or if ``lanes`` has no
-        effect.
+        If `integrate` would warn of some members, or if ``lanes`` has no effect.
 
     Notes
     -----
-    A block is made in C, without the interpreter's lock, unless functions of Python are called: in
-    the system, as events or controllers, or to reduce runs.  Then its members are made one by one.
+    C computes a block without the interpreter's lock, unless the system, events, controllers or
+    ``keep`` are Python functions.  With Python functions members are computed one by one.
 
     Examples
     --------
@@ -212,7 +216,7 @@ def ensemble(
 
 
 def _folder(path: str | os.PathLike[str]) -> str:
-    """Return the path of a store, wherever the process goes."""
+    """Return the absolute path of a store."""
     found = os.fspath(path)
     if not isinstance(found, str) or not found:
         raise ValueError(f"store = {path!r}: expected the name of a directory")
@@ -223,23 +227,23 @@ _HOW = ("executor", "threads", "store", "block", "progress")
 
 
 def open_ensemble(path: str | os.PathLike[str], system: System | None = None) -> Ensemble:
-    """Return the ensemble in a store, finished or not, as far as its members are there.
+    """Return the ensemble in a store, finished or not.
 
-    Nothing of it is read before it is asked for.
+    Arrays are read on first use.
 
     Parameters
     ----------
     path : str or path
         The directory.
     system : System, optional
-        Its system; not needed for one that comes with the library.
+        The system of the ensemble; not needed if it comes with the library.
 
     Raises
     ------
     ValueError
-        If there is no store, or it is of another version or system.
+        If there is no store, or it belongs to another version or system.
     StoreError
-        If a file is damaged, or not of this ensemble.
+        If a file is damaged, or belongs to another ensemble.
 
     Examples
     --------
@@ -269,7 +273,7 @@ def _ask(
     initial: Any, max_iterations: Any, energy: Any, method: Any, tolerance: Any, axes: Any,
     lanes: Any,
 ) -> Ask:  # fmt: skip
-    """Return what is asked for, or raise ValueError."""
+    """Return the definition of an ensemble, or raise ValueError."""
     require_system(system)
     record = Scheme.usual(system) if scheme is None else Scheme.of(scheme)
     t0 = arguments.number(t0, "t0")
@@ -320,7 +324,7 @@ def _ask(
 
 
 def _stride(stride: Any, kept: Kept, counts: list[int]) -> int:
-    """Return the stride, 0 for the end alone."""
+    """Return the stride, 0 if only the end is kept."""
     if kept.at_end:
         if stride is not None:
             raise ValueError(f"stride = {stride}: the end alone is kept, which has none")
@@ -344,7 +348,7 @@ def _stride(stride: Any, kept: Kept, counts: list[int]) -> int:
 
 
 def _bytes_of_member(ask: Ask) -> int:
-    """Return about how many bytes the results of a member take."""
+    """Return the approximate size of the results of a member in bytes."""
     parts = work.layout(ask.setting, ask.rows).values()
     return sum(math.prod(shape) * np.dtype(kind).itemsize for shape, kind, _ in parts)
 
@@ -361,7 +365,7 @@ def _size(ask: Ask, block: int | None, is_sent: bool) -> int:
 
 
 def _seconds_of_member(ask: Ask) -> float:
-    """Return about how long a member takes, by some steps of the first."""
+    """Return the approximate time for a member in seconds, from some steps of the first."""
     setting, rows = ask.setting, ask.block(0, 1)
     steps, made, piece, elapsed = int(rows["steps"][0]), 0, 1, 1e-6
     if not work.is_in_c(setting):
@@ -399,7 +403,7 @@ def _first_state(ask: Ask) -> Array:
 
 
 def _require_memory(ask: Ask) -> None:
-    """Raise MemoryError where the results would not fit."""
+    """Raise MemoryError if the results would not fit in memory."""
     size = _bytes_of_member(ask) * ask.count
     memory = available_memory() if size > 2**24 else size
     if size > memory:
@@ -410,7 +414,7 @@ def _require_memory(ask: Ask) -> None:
 
 
 def _warn(found: Ensemble) -> None:
-    """Warn where members failed, or are doubtful."""
+    """Warn of members that failed or are doubtful."""
     failed, doubtful = found.failed, np.flatnonzero(found["doubtful"])
     if len(failed):
         first = int(failed[0])
@@ -429,7 +433,7 @@ def _warn(found: Ensemble) -> None:
 
 
 def _about(ask: Ask, size: int) -> dict[str, Any]:
-    """Return what tells an ensemble from others, for JSON."""
+    """Return data for JSON that identify an ensemble."""
     setting = ask.setting
     scheme, kept = setting.scheme._data(), setting.kept
     if scheme is None:
@@ -468,13 +472,13 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
 
 
 def _told_reset(system: System, one: Event) -> str:
-    """Return a digest of the reset of an event; "" if it has none."""
+    """Return a digest of the reset of an event, "" if it has none."""
     _, law = events_of(system, one, "events")
     return digest(one.reset) if law is None else str(law.about(system)["key"])
 
 
 def _mark(about: Mapping[str, Any], arrays: Mapping[str, Array]) -> str:
-    """Return a digest of what an ensemble is, and of what was given for its members."""
+    """Return a digest of an ensemble and of the values for its members."""
     system = [about["system"][key] for key in ("name", "identity")]
     told = {key: x for key, x in about.items() if key not in _NOT_TOLD} | {"system": system}
     whole = hashlib.sha256(json.dumps(told, sort_keys=True).encode())
@@ -488,7 +492,7 @@ _NOT_TOLD = ("format", "version", "mark", "block", "seal")
 
 
 def _ask_of(about: Mapping[str, Any], arrays: Mapping[str, Array], system: System) -> Ask:
-    """Return what was asked for, from a store; without functions, which it does not keep."""
+    """Return the definition in a store, which does not keep functions."""
     at_end, states, measures, columns, reduce = about["keep"]
     lacks = {"events": about["events"], "inputs": about["control"], "keep": reduce}
     setting = Setting(

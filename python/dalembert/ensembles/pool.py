@@ -1,4 +1,4 @@
-"""Who makes the blocks of an ensemble: threads of this process, or an executor of the user."""
+"""Execution of the blocks of an ensemble, by threads of this process or by an executor."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Take = Callable[[int, work.Block | None], None]
 
 
 def threads_of(threads: int | None) -> int:
-    """Return how many threads to use: one for each processor that this process may use."""
+    """Return the number of threads, by default one for each processor that this process may use."""
     if threads is not None:
         return arguments.integer(threads, "threads", 1, 10_000)
     if hasattr(os, "sched_getaffinity"):
@@ -37,7 +37,7 @@ class Blocks:
     Attributes
     ----------
     size : int
-        Members of each block; the last may have fewer.
+        Number of members in a block; the last may have fewer.
     """
 
     def __init__(self, ask: Ask, size: int) -> None:
@@ -47,7 +47,7 @@ class Blocks:
         return -(-self.ask.count // self.size)
 
     def range(self, index: int) -> tuple[int, int]:
-        """Return the first member of a block, and that after its last."""
+        """Return the first member of a block, and the first after it."""
         return index * self.size, min((index + 1) * self.size, self.ask.count)
 
 
@@ -61,19 +61,19 @@ def by_threads(
     tell: Callable[[float], None],
     threads: int,
 ) -> None:
-    """Make blocks by threads of this process.
+    """Compute blocks in threads of this process.
 
     Parameters
     ----------
     blocks : Blocks
     left : list of int
-        Which of them.
+        Numbers of the blocks to compute.
     data : Memory or Stored
-        What gets them.
+        Destination of the blocks.
     tell : callable
-        ``tell(done)`` is called some times a second with the number of members that were made.
+        ``tell(done)`` is called several times a second with the number of members done.
     threads : int
-        How many.
+        Number of threads.
     """
     stop, under_way = threading.Event(), dict.fromkeys(left, 0.0)
 
@@ -105,9 +105,9 @@ def _run(
     stop: threading.Event | None = None,
     lost: Callable[[int], work.Block] | None = None,
 ) -> None:
-    """Submit blocks, a window of them at a time, and take what they return, as it comes.
+    """Submit blocks, at most ``window`` at a time, and take their results as they finish.
 
-    ``lost(index)`` stands for a block that an executor has given up, since its workers die.
+    ``lost(index)`` replaces a block that an executor has given up because its workers died.
     """
     todo, pending = list(reversed(todo)), dict[futures.Future[Any], int]()
 
@@ -147,21 +147,21 @@ def _run(
 
 @functools.lru_cache(maxsize=4)
 def _setting(pickled: bytes) -> Setting:
-    """Return what was pickled: a system is made once for each process."""
+    """Return the unpickled setting; each process creates its system once."""
     setting: Setting = pickle.loads(pickled)
     return setting
 
 
 @functools.lru_cache(maxsize=4)
 def _stored_ask(pickled: bytes, path: str, mark: str, shape: tuple[int, ...]) -> Ask:
-    """Return the ask of a store that is seen from here; its arrays are mapped, not read."""
+    """Return the definition in a store visible from here; its arrays are memory-mapped."""
     return Ask.of_arrays(
         store.read_members(path, mark), setting=_setting(pickled), shape=shape, axes=(), ticks={}
     )
 
 
 class Unseen(Exception):
-    """The store is not seen from the worker."""
+    """The store is not visible from the worker."""
 
 
 def remote(
@@ -172,11 +172,11 @@ def remote(
     place: tuple[str, str, tuple[int, ...]] | None,
     rows: Any,
 ) -> work.Block | None:
-    """Make a block in another process.
+    """Compute a block in another process.
 
-    ``place`` is the path of the store, the mark of the ensemble and its shape.  Where it is seen,
-    what is given for members is read there, and the block is written there: nothing is returned.
-    Where it is not, ``rows`` are needed.
+    ``place`` is the path of the store, the mark of the ensemble and its shape.  If the store is
+    visible, the values for members are read from it, the block is written to it, and the result is
+    None.  Otherwise ``rows`` are required.
     """
     seen = place is not None and store.is_that(*place[:2])
     if rows is None and not seen:
@@ -197,10 +197,13 @@ def by_executor(
     data: Memory | Stored,
     tell: Callable[[float], None],
 ) -> None:
-    """Make blocks by an executor, or by one that a function returns; the arguments as above.
+    """Compute blocks by an executor, or by one that a function returns.
 
-    Where the processes of a pool die, their blocks are submitted again, to a pool like it.  A block
-    that three pools have died with is tried alone, and if that dies too its members have failed.
+    Arguments are as for `by_threads`.
+
+    If the processes of a pool die, their blocks are submitted again, to a new pool of the same
+    kind.  A block during which three pools died is tried alone.  If that pool dies too, its members
+    have failed.
     """
     ask, tried, remaining = blocks.ask, dict.fromkeys(left, 0), dict.fromkeys(left)
     pickled = pickle.dumps(ask.setting)
@@ -248,7 +251,7 @@ def by_executor(
 
 
 def _lost(ask: Ask, blocks: Blocks, index: int) -> work.Block:
-    """Return a block whose workers die: all of its members have failed."""
+    """Return a block whose workers died: all of its members have failed."""
     begin, end = blocks.range(index)
     made = work.empty(ask.setting, ask.rows, end - begin)
     made["status"][:] = lib.DAL_EUSER
@@ -259,7 +262,7 @@ def _lost(ask: Ask, blocks: Blocks, index: int) -> work.Block:
 
 
 class _Pools:
-    """An executor, and others like it where it breaks."""
+    """An executor, replaced by one of the same kind if it breaks."""
 
     def __init__(self, given: Any) -> None:
         self._own = not isinstance(given, futures.Executor)
@@ -273,14 +276,14 @@ class _Pools:
 
     @property
     def window(self) -> int:
-        """How many blocks to submit at a time: enough for all workers, and for memory."""
+        """Number of blocks to submit at a time: enough for all workers, limited for memory."""
         workers = getattr(self.current, "_max_workers", None)
         if (client := getattr(self.current, "_client", None)) is not None:  # of dask
             workers = sum(client.nthreads().values())
         return max(64, 4 * int(workers or 16))
 
     def renew(self) -> bool:
-        """Go on with a new one; return whether that can be."""
+        """Replace the executor; return False if that is not possible."""
         if self._make is None:
             return False
         if self._own:
@@ -301,7 +304,7 @@ class _Pools:
 
 
 def _like(executor: Any) -> Callable[[], futures.Executor] | None:
-    """Return what makes a pool of processes as this one; None for any other executor."""
+    """Return a function that creates a pool of processes like this; None for other executors."""
     if not isinstance(executor, futures.ProcessPoolExecutor):
         return None
     names = {"max_workers": "_max_workers", "mp_context": "_mp_context",

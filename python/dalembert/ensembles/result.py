@@ -1,4 +1,4 @@
-"""What an ensemble returns."""
+"""The results of an ensemble."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SMALL = 2**26  # bytes of an array that is kept when it was read from a store
 
 
 class Memory:
-    """Blocks of an ensemble, put together in memory."""
+    """Blocks of an ensemble, collected in memory."""
 
     def __init__(self, ask: Ask, size: int) -> None:
         self._count, self._size = ask.count, size
@@ -28,7 +28,7 @@ class Memory:
         self.messages: dict[int, str] = {}
 
     def put(self, index: int, made: work.Block) -> None:
-        """Take a block."""
+        """Store a block."""
         begin = index * self._size
         for name, x in made.items():
             if name == "messages":
@@ -44,7 +44,7 @@ class Memory:
             self._arrays[name][begin : begin + len(x)] = x
 
     def has(self, index: int) -> bool:
-        """Return whether a block is there."""
+        """Return whether a block is present."""
         return False
 
     def names(self) -> list[str]:
@@ -65,14 +65,14 @@ class Memory:
 
 
 def _blank(name: str, kind: np.dtype[Any]) -> tuple[Any, Any]:
-    """Return what stands for members that were not made, and its type."""
+    """Return the fill value for members that were not computed, and its type."""
     if name == "status":
         return lib.DAL_STOPPED, kind
     return (np.nan if kind.kind == "f" else -1 if name == "ended_by" else 0), kind
 
 
 def _blanks(ask: Ask) -> dict[str, Array]:
-    """Return the arrays of an ensemble of which no member is made."""
+    """Return the arrays of an ensemble without any computed member."""
     layout = work.layout(ask.setting, ask.rows)
     return {
         name: np.full((ask.count, *shape), value, kind)
@@ -81,7 +81,7 @@ def _blanks(ask: Ask) -> dict[str, Array]:
 
 
 class Stored:
-    """Blocks of an ensemble in a store, read when they are asked for."""
+    """Blocks of an ensemble in a store, read on first use."""
 
     def __init__(self, path: str, mark: str, ask: Ask, size: int) -> None:
         self.path, self.mark, self._count, self._size = path, mark, ask.count, size
@@ -97,17 +97,17 @@ class Stored:
             self.know(index)
 
     def know(self, index: int) -> None:
-        """Take note of a block that somebody has written."""
+        """Register a block that another process has written."""
         self._there = sorted({*self._there, index})
         self._read.clear()
 
     def has(self, index: int) -> bool:
-        """Return whether a block is there."""
+        """Return whether a block is present."""
         return index in self._there
 
     @property
     def messages(self) -> dict[int, str]:
-        """What is said of members that failed."""
+        """Messages of the members that failed."""
         return {
             index * self._size + k: text
             for index in self._there
@@ -145,7 +145,7 @@ class Stored:
         return found
 
     def _of_block(self, index: int, name: str) -> Array | None:
-        """Return an array of a block; StoreError if it is not what a block has."""
+        """Return an array of a block; raise StoreError if its shape or type is wrong."""
         return self._checked(index, name, store.read_some(self.path, index, self.mark, name))
 
     def _checked(self, index: int, name: str, x: Array | None) -> Array | None:
@@ -162,7 +162,7 @@ class Stored:
         return x
 
     def by_dask(self, name: str, n: int) -> Any:
-        """Return an array that is read block by block, when it is computed."""
+        """Return a dask array that is read block by block."""
         da = extras.require("dask.array", "a lazy array")
         delayed = extras.require("dask", "a lazy array").delayed
         whole = {"q": "states", "v": "states"}.get(name, name)
@@ -201,32 +201,32 @@ class Stored:
 
 
 class Ensemble(Mapping[str, Any]):
-    """Many runs: what was kept of each, which failed and why, and each of them again.
+    """Many runs: the results kept for each, failures with their messages, and each run again.
 
-    It is a mapping from names to arrays, whose first axis is that of the members; those that are
-    named below are attributes too.  A member that failed has NaN where it has not come to.
+    An ensemble is a mapping from names to arrays; their first axis counts the members.  The arrays
+    listed below are attributes too.  The missing values of a member that failed are NaN.
 
     Attributes
     ----------
     system : System
-        That of all members, but for their parameters.
+        The system of all members, except for their parameters.
     scheme : Scheme
     shape : tuple of int
-        Of what was given for members, broadcast; they are numbered in C order.
+        Broadcast shape of the arguments; members are numbered in C order.
     axes : tuple of str
         Names of these axes.
     ticks : dict of ndarray
-        Values along axes that have any, by their names.
+        Values along axes, by the name of the axis.
     parameters : dict of ndarray, shape (K,)
-        Of each member, those that were given.
+        The given parameters of each member.
     q0, v0 : ndarray, shape (K, n), or None
-        Initial data that were given.
+        The given initial data.
     h, steps : ndarray, shape (K,)
     t0 : float
     stride : int
-        From row to row; 0 where the end alone was kept.
+        Number of steps between rows; 0 if only the end was kept.
     lanes : bool
-        Whether several members were stepped at once.
+        Whether several members were advanced at once.
     """
 
     def __init__(self, ask: Ask, data: Memory | Stored) -> None:
@@ -247,17 +247,17 @@ class Ensemble(Mapping[str, Any]):
 
     @property
     def parameters(self) -> dict[str, Array]:
-        """Values of the parameters that were given, shape (K,)."""
+        """Values of the given parameters, shape (K,) each."""
         return {name: self._of_members(x) for name, x in self._ask.parameters.items()}
 
     @property
     def q0(self) -> Array | None:
-        """Positions at the beginning, shape (K, n); None where they are the system's."""
+        """Initial positions, shape (K, n); None if they are the system's."""
         return None if self._ask.q0 is None else self._of_members(self._ask.q0)
 
     @property
     def v0(self) -> Array | None:
-        """Velocities at the beginning, shape (K, n); None where they are the system's."""
+        """Initial velocities, shape (K, n); None if they are the system's."""
         return None if self._ask.v0 is None else self._of_members(self._ask.v0)
 
     @property
@@ -267,7 +267,7 @@ class Ensemble(Mapping[str, Any]):
 
     @property
     def steps(self) -> Array:
-        """Numbers of steps that were asked for, shape (K,)."""
+        """Requested numbers of steps, shape (K,)."""
         return self._of_members(self._ask.steps)
 
     # ---- what was made -------------------------------------------------------------------------
@@ -305,7 +305,7 @@ class Ensemble(Mapping[str, Any]):
 
     @property
     def t(self) -> Array:
-        """Times of the rows, (rows,) or (K, rows) where step sizes differ; of the end: (K,)."""
+        """Times of the rows, shape (rows,), or (K, rows) if step sizes differ; (K,) for the end."""
         if self.stride == 0:
             return self["t_end"]  # type: ignore[no-any-return]
         rows = np.arange(self._ask.rows) * self.stride
@@ -315,7 +315,7 @@ class Ensemble(Mapping[str, Any]):
 
     @property
     def success(self) -> Array:
-        """Whether each member went through, shape (K,)."""
+        """Whether each member ended without error, shape (K,)."""
         return self["status"] == lib.DAL_SUCCESS  # type: ignore[no-any-return]
 
     @property
@@ -325,16 +325,16 @@ class Ensemble(Mapping[str, Any]):
 
     @property
     def unfinished(self) -> Array:
-        """The numbers of the members that were not made, as somebody stopped."""
+        """The numbers of the members not computed because the ensemble was stopped."""
         return np.flatnonzero(self["status"] == lib.DAL_STOPPED)
 
     @property
     def stats(self) -> dict[str, Array]:
-        """What each member has cost, by the names of `Statistics`, shape (K,) each."""
+        """Counters of each member, by the names of `Statistics`, shape (K,) each."""
         return {name: self[name] for name in work.STATISTICS}
 
     def message(self, k: int | tuple[int, ...]) -> str:
-        """Return what became of a member, in words; ``k`` as of `member`."""
+        """Return the outcome of a member in words; ``k`` as for `member`."""
         k = self._number(k)
         status = int(self["status"][k])
         if status < 0:
@@ -363,21 +363,23 @@ class Ensemble(Mapping[str, Any]):
     def member(
         self, k: int | tuple[int, ...], *, stride: int | None = None, throw: bool = False
     ) -> Solution:
-        """Return the run of member k, made again: bit for bit what was kept of it.
+        """Compute the run of member k again; the result is bitwise identical.
 
         Parameters
         ----------
         k : int or tuple of int
-            Its number, or its place along the axes of ``shape``; from the end if negative.
+            Number of the member, or its place along the axes of ``shape``; negative numbers count
+            from the end.
         stride : int, optional
-            As for `integrate`.  Default: that of the ensemble, 1 where the end alone was kept.
+            As for `integrate`.  Default: that of the ensemble, or 1 if only the end was kept.
         throw : bool, optional
-            True: of a member that failed in a step, the exception instead of what there is.
+            True: if the member failed in a step, raise its exception instead of returning the
+            states so far.
 
         Raises
         ------
         ValueError
-            If its initial data or parameters were refused, or there is no such member.
+            If its initial data or parameters are invalid, or there is no such member.
         """
         if self._ask.lacks:
             raise ValueError(
@@ -388,9 +390,9 @@ class Ensemble(Mapping[str, Any]):
         return work.member(self._ask, self._number(k), stride=stride, throw=throw)
 
     def blocks(self) -> Iterator[tuple[int, dict[str, Array]]]:
-        """Yield parts of the ensemble: the number of the first member, and its arrays by name.
+        """Yield parts of the ensemble: the number of the first member, and the arrays by name.
 
-        An ensemble in a store is read part by part, so that memory is bounded.
+        An ensemble in a store is read part by part, so the memory is bounded.
         """
         return self._data.blocks()
 
@@ -399,7 +401,8 @@ class Ensemble(Mapping[str, Any]):
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset``, with parameters as coordinates.
 
-        A grid has an axis for each of its names.  One in a store is lazy where dask is installed.
+        A grid has an axis for each of its names.  With dask installed, the arrays of a store are
+        lazy.
 
         Raises
         ------
@@ -453,14 +456,14 @@ class Ensemble(Mapping[str, Any]):
         return names if len(names) == count else tuple(f"{name}_{k}" for k in range(count))
 
     def _lazy(self, name: str) -> Any:
-        """Return an array, by dask where it is in a store and dask is there."""
+        """Return an array, as dask array if it is in a store and dask is installed."""
         if isinstance(self._data, Memory) or not extras.is_there("dask") or name in _ALWAYS:
             return self[name]
         return self._data.by_dask(name, self.system.n)
 
     @property
     def kept(self) -> list[str]:
-        """The names of what was kept, besides what every ensemble has."""
+        """The names of the kept results, without those that every ensemble has."""
         return [name for name in self if name not in _ALWAYS]
 
     def __repr__(self) -> str:

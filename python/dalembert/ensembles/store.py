@@ -1,7 +1,7 @@
-"""The store of an ensemble: a directory with a description, and one sealed file for each block.
+"""The store of an ensemble: a directory with a description, and one file for each block.
 
-A block is written under another name, synced, and renamed: whatever ends the process, each file is
-whole or not there.  It holds arrays alone, in NumPy's own format; loading one runs nothing.
+A block is written under a temporary name, synced and renamed, so that after a crash each file is
+complete or absent.  A file has only arrays, in NumPy's own format; loading it runs no code.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _BLOCK = re.compile(r"block-(\d{9})\.npz")
 
 
 class StoreError(DalembertError):
-    """The store of an ensemble cannot be read, or is not what it has to be."""
+    """The store of an ensemble cannot be read, or its content is wrong."""
 
 
 def _path(directory: str, index: int) -> Path:
@@ -42,20 +42,20 @@ def _path(directory: str, index: int) -> Path:
 def create(
     directory: str, about: dict[str, Any], given: dict[str, np.ndarray]
 ) -> dict[str, Any]:
-    """Make a store, unless it is there, and return its description.
+    """Create a store, unless it exists, and return its description.
 
     Parameters
     ----------
     directory : str
     about : dict
-        What the ensemble is, for JSON; "mark" tells it from others.
+        Description of the ensemble, for JSON; "mark" identifies it.
     given : dict of arrays
-        What was given for its members.
+        Values for the members.
 
     Raises
     ------
     ValueError
-        If something else is there.
+        If the directory has other files, or another ensemble.
     """
     root = Path(directory)
     root.mkdir(parents=True, exist_ok=True)
@@ -85,7 +85,7 @@ def create(
 
 
 def read_about(directory: str) -> dict[str, Any]:
-    """Return the description of a store; ValueError if it is none, or of another version."""
+    """Return the description of a store; raise ValueError if it is none, or of another version."""
     path = Path(directory) / ABOUT
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
@@ -106,12 +106,12 @@ def read_about(directory: str) -> dict[str, Any]:
 
 
 def seal(mark: str, size: int) -> str:
-    """Return what ties the size of blocks to an ensemble."""
+    """Return a digest of the size of the blocks and the mark of the ensemble."""
     return hashlib.sha256(f"{mark} {size}".encode()).hexdigest()
 
 
 def tidy(directory: str) -> None:
-    """Remove what processes that were killed have left, an hour ago or more."""
+    """Remove temporary files of killed processes that are at least an hour old."""
     for path in Path(directory).iterdir():
         if files.is_draft(path):
             with contextlib.suppress(OSError):
@@ -120,14 +120,14 @@ def tidy(directory: str) -> None:
 
 
 def is_that(directory: str, mark: str) -> bool:
-    """Return whether the store is seen from here."""
+    """Return whether the store is visible from here."""
     with contextlib.suppress(ValueError, OSError):
         return bool(read_about(directory)["mark"] == mark)
     return False
 
 
 def read_members(directory: str, mark: str) -> dict[str, np.ndarray]:
-    """Return what was given for the members, which is read when it is asked for."""
+    """Return the values for the members, memory-mapped."""
     found = {}
     for path in sorted(Path(directory).iterdir()):
         if (match := _GIVEN.fullmatch(path.name)) and match[1] == mark[:12]:
@@ -140,12 +140,12 @@ def read_members(directory: str, mark: str) -> dict[str, np.ndarray]:
 
 
 def write(directory: str, index: int, mark: str, made: work.Block) -> None:
-    """Seal a block of the ensemble with this mark.
+    """Write a block of the ensemble with this mark.
 
     Raises
     ------
     StoreError
-        If the store is of another one now.
+        If the store now belongs to another ensemble.
     """
     if read_about(directory)["mark"] != mark:
         raise StoreError(f"{directory} is not the store of this ensemble any more")
@@ -158,7 +158,7 @@ def write(directory: str, index: int, mark: str, made: work.Block) -> None:
 
 
 def there(directory: str, mark: str, count: int) -> list[int]:
-    """Return the numbers of the blocks that are there.
+    """Return the numbers of the blocks in the store.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def read(directory: str, index: int, mark: str) -> work.Block:
     Raises
     ------
     StoreError
-        If its file is damaged, or not of this ensemble.
+        If its file is damaged, or belongs to another ensemble.
     """
     path = _path(directory, index)
     arrays = _load(path)
@@ -197,7 +197,7 @@ def names(directory: str, index: int) -> list[str]:
 
 
 def read_some(directory: str, index: int, mark: str, name: str) -> Any:
-    """Return an array of a block, None if it has none of this name; or its messages."""
+    """Return an array of a block, None if the block has none of this name; or its messages."""
     path = _path(directory, index)
     wanted = ("failed", "messages") if name == "messages" else (name,)
     found = _load(path, ("mark", *wanted))
@@ -208,7 +208,7 @@ def read_some(directory: str, index: int, mark: str, name: str) -> Any:
 
 
 def _check(path: Path, mark: str, index: int) -> None:
-    """Raise StoreError unless a file is a whole block, as far as its directory tells."""
+    """Raise StoreError unless a file is a complete block, as far as its zip directory shows."""
     with _reading(path), np.load(path, allow_pickle=False) as file:
         found = file["mark"] if "mark" in file.files else None
     _require(path, found, mark, index)
@@ -221,7 +221,7 @@ def _require(path: Path, found: Any, mark: str, index: int) -> None:
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Raise StoreError where a file is not there, or holds no arrays."""
+    """Raise StoreError if a file is missing or has no arrays."""
     try:
         yield
     except FileNotFoundError:
@@ -232,13 +232,13 @@ def _reading(path: Path) -> Iterator[None]:
 
 
 def damaged(directory: str, index: int, why: str) -> StoreError:
-    """Return what is said of a block that is no good."""
+    """Return the exception for a damaged block."""
     path = _path(directory, index)
     return StoreError(f"{path} is damaged ({why}): remove it, and it is made again")
 
 
 def _save(path: Path, arrays: Any) -> None:
-    """Write an array, or several by name, whole or not at all, and onto the disk."""
+    """Write an array, or several by name, to the disk, completely or not at all."""
     buffer = io.BytesIO()
     if isinstance(arrays, dict):
         np.savez(buffer, **arrays)

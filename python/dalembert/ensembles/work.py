@@ -1,4 +1,4 @@
-"""Members in the making: a block of them, in C where it can be, else one by one."""
+"""Computation of a block of members, in C if possible, else one by one."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ Show = Callable[[float], Any]
 
 
 class Stopped(Exception):
-    """The ensemble is to end now."""
+    """The ensemble has to stop now."""
 
 
 # ---- one block ---------------------------------------------------------------------------------
@@ -57,7 +57,7 @@ class Stopped(Exception):
 def make(
     setting: Setting, rows: Mapping[str, Array], count: int, stop: threading.Event, show: Show
 ) -> Block:
-    """Make a block of members.
+    """Compute a block of members.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ def make(
     rows : dict
         As for `Ask.block`.
     count : int
-        How many members.
+        Number of members.
     stop : threading.Event
-        Ends it soon: what is not made then has the status DAL_STOPPED.
+        Stops the computation soon; members not computed then have the status DAL_STOPPED.
     show : callable
-        ``show(done)`` is called some times a second with the number of members that are done.
+        ``show(done)`` is called several times a second with the number of members done.
     """
 
     def watch(far: float) -> None:
@@ -83,7 +83,7 @@ def make(
 
 
 def is_in_c(setting: Setting) -> bool:
-    """Return whether C makes blocks without Python."""
+    """Return whether C computes blocks without Python."""
     return (
         not setting.system._source.calls_python
         and not setting.system.positions
@@ -96,7 +96,7 @@ def is_in_c(setting: Setting) -> bool:
 
 
 def layout(setting: Setting, rows: int) -> dict[str, tuple[tuple[int, ...], Any, Any]]:
-    """Return shape, type, and the value before it is made, of each array of a member."""
+    """Return the shape, type and initial value of each array of a member."""
     n, m, kept = setting.system.n, setting.system.m, setting.kept
     found: dict[str, tuple[tuple[int, ...], Any, Any]] = {
         "status": ((), np.int32, lib.DAL_STOPPED),
@@ -117,7 +117,7 @@ def layout(setting: Setting, rows: int) -> dict[str, tuple[tuple[int, ...], Any,
 
 
 def empty(setting: Setting, rows: int, count: int) -> Block:
-    """Return the arrays of so many members, with so many rows each, before they are made."""
+    """Return the initial arrays of so many members with so many rows each."""
     arrays = {
         name: np.full((count, *shape), value, kind)
         for name, (shape, kind, value) in layout(setting, rows).items()
@@ -148,7 +148,7 @@ def _by_c(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) 
 
 
 def without_lanes(setting: Setting, has_inputs: bool) -> str:
-    """Return why members cannot be stepped side by side; "" if they can."""
+    """Return why members cannot be advanced side by side, "" if they can."""
     scheme = setting.scheme
     if scheme.nodes != "moved" or scheme.family != "beta":
         return f"the scheme {scheme.name!r} has kept nodes or no sub-steps"
@@ -199,7 +199,7 @@ def _in_one_call(setting: Setting, rows: Mapping[str, Array], count: int, watch:
 
 
 def _refused(system: System, rows: Mapping[str, Array], k: int) -> Exception | None:
-    """Return what is wrong with the parameters of a member, if they are."""
+    """Return the error in the parameters of a member, or None."""
     try:
         _with_parameters(system, rows, k)
     except Exception as error:
@@ -218,7 +218,7 @@ def _with_parameters(system: System, rows: Mapping[str, Array], k: int) -> Syste
 def _members(
     setting: Setting, rows: Mapping[str, Array], count: int, made: Block
 ) -> tuple[Any, dict[str, Any]]:
-    """Return the ``dal_members``, and what it needs to stay alive, by name."""
+    """Return the ``dal_members``, and the objects that have to stay alive, by name."""
     system, kept = setting.system, setting.kept
     given = {name: x for name, x in rows.items() if name != "steps"}
     steps = rows["steps"][: 1 if setting.stride else None].astype(np.uintp)
@@ -268,7 +268,7 @@ def _members(
 
 
 def _events(setting: Setting) -> tuple[Any, Any, list[Any]]:
-    """Return the ``dal_event[]``, and their resets; each has the parameters of its member."""
+    """Return the ``dal_event[]`` and their resets, with the parameters of each member."""
     found = ffi.new("dal_event[]", max(1, len(setting.events)))
     resets = ffi.new("dal_law[]", max(1, len(setting.events)))
     alive = []
@@ -287,7 +287,7 @@ def _events(setting: Setting) -> tuple[Any, Any, list[Any]]:
 
 
 def _stats_type() -> np.dtype[Any]:
-    """Return ``dal_stats`` as NumPy has it."""
+    """Return the NumPy type of ``dal_stats``."""
     fields = ffi.typeof("dal_stats").fields
     kinds = {"size_t": np.uintp, "double": np.float64, "unsigned int": np.uintc}
     return np.dtype({
@@ -301,7 +301,7 @@ def _stats_type() -> np.dtype[Any]:
 def _doubt(
     setting: Setting, rows: Mapping[str, Array], stats: Any, doubts_of: Array, made: Block
 ) -> None:
-    """Mark members whose run would have been warned of."""
+    """Mark members whose run deserves a warning."""
     system, names = setting.system, {*MEASURES} & {*setting.kept.measures}
     suspect = (
         (stats["jump_step"] > 0)
@@ -328,7 +328,7 @@ def _doubt(
 
 
 def one(setting: Setting, rows: Mapping[str, Array], k: int, **how: Any) -> Solution:
-    """Return the run of member k of a block, as `integrate` makes it."""
+    """Return the run of member k of a block, as from `integrate`."""
     mine = {name: x[k % len(x)] for name, x in rows.items()}
     system = _with_parameters(setting.system, rows, k)
     q0, v0 = np.split(mine["x"], 2) if "x" in mine else (None, None)
@@ -362,7 +362,7 @@ def _one_by_one(setting: Setting, rows: Mapping[str, Array], count: int, watch: 
 def _keep(
     setting: Setting, made: Block, k: int, rows: Mapping[str, Array], progress: Any
 ) -> None:
-    """Make member k, and write what is kept of it."""
+    """Compute member k, and write its results."""
     kept = setting.kept
     with quietly() as found:
         try:
@@ -402,7 +402,7 @@ def _keep(
 
 
 def _measured(run: Solution, name: str) -> Array:
-    """Return a quantity of the rows of a run; where it is not defined it is NaN."""
+    """Return a quantity of the rows of a run, NaN if undefined."""
     try:
         return getattr(run, name)  # type: ignore[no-any-return]
     except (DalembertError, ArithmeticError, ValueError):
@@ -419,7 +419,7 @@ def _measured(run: Solution, name: str) -> Array:
 
 
 def _count(setting: Setting, made: Block, k: int, run: Solution) -> None:
-    """Write how far a run has come."""
+    """Write the progress of a run."""
     made["done"][k] = run.stats.steps
     made["t_end"][k] = setting.t0 + run.stats.steps * run.h
     for i, times in enumerate(run.t_events):
@@ -430,7 +430,7 @@ def _count(setting: Setting, made: Block, k: int, run: Solution) -> None:
 
 
 def _ended_by(setting: Setting, run: Solution) -> int:
-    """Return which terminal event has ended the run."""
+    """Return the number of the terminal event that ended the run."""
     last = [times[-1] if len(times) else -np.inf for times in run.t_events]
     ends = [
         k for k, (one_, times) in enumerate(zip(setting.events, run.t_events))
@@ -440,7 +440,7 @@ def _ended_by(setting: Setting, run: Solution) -> int:
 
 
 def _reduce(value: Any, made: Block, k: int, count: int) -> None:
-    """Write what a function of a run returned."""
+    """Write the result of a function of a run."""
     found = value if isinstance(value, Mapping) else {"value": value}
     for name, given in found.items():
         if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED:
@@ -462,7 +462,7 @@ def _reduce(value: Any, made: Block, k: int, count: int) -> None:
 
 
 def _message(error: BaseException) -> str:
-    """Return what an entry says of an exception, as the message of a `Solution` does."""
+    """Return the message for an exception, as in a `Solution`."""
     try:
         return f"{type(error).__name__}: {error}"
     except Exception:  # of a user's exception that cannot be shown
@@ -481,5 +481,5 @@ def status_of(error: BaseException) -> int:
 
 
 def member(ask: Ask, k: int, **how: Any) -> Solution:
-    """Return the run of a member, made again."""
+    """Compute the run of a member again."""
     return one(ask.setting, ask.block(k, k + 1), 0, **how)

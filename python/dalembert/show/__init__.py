@@ -1,1 +1,1 @@
-"""Pictures, tables and pages of what was computed."""
+"""Plots, films, tables and pages of results."""

@@ -1,4 +1,4 @@
-"""Films of runs: bodies, the trails of their contacts, and the reactions that act there."""
+"""Films of runs: bodies, trails of their contacts, and reactions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NOTEBOOK = 10_000_000  # characters that a film may put into one
 
 
 class Animation:
-    """A film of a run, as `dalembert.plot.animate` makes it.
+    """A film of a run, created by `dalembert.plot.animate`.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class Animation:
     t : ndarray, shape (frames,)
         Times of the frames, in the user's units.
     fps : float
-        Frames of each second of the film.
+        Frames per second of the film.
     scale : float or None
-        Units of force for a unit of length of the arrows; None if there are none.
+        Units of force for a unit of length of the arrows; None without arrows.
     ax : matplotlib axes
     """
 
@@ -61,12 +61,12 @@ class Animation:
         return f"<Animation of {name}: {len(self)} frames, {seconds:g} seconds>"
 
     def frame(self, t: float) -> Axes:
-        """Draw one instant, at any time of the run.
+        """Draw the frame at any time of the run.
 
         Parameters
         ----------
         t : float
-            In the user's units.
+            The time, in the user's units.
 
         Returns
         -------
@@ -75,7 +75,7 @@ class Animation:
         Raises
         ------
         ValueError
-            If it is not a time of the run.
+            If t lies outside the run.
 
         Examples
         --------
@@ -98,7 +98,7 @@ class Animation:
         self._put(float(self.t[k]), self._scene.frames[k], k)
 
     def _put(self, t: float, shapes: list[Shape], k: int) -> None:
-        """Replace what moves by a frame, and the trails by those up to frame k."""
+        """Replace moving shapes by those of a frame, and trails by those up to frame k."""
         for artist in self._there:
             artist.remove()
         scene = self._scene
@@ -112,13 +112,13 @@ class Animation:
     # ---- files -----------------------------------------------------------------------------------
 
     def save(self, path: str | Path, *, progress: Progress = False) -> None:
-        """Write the film to a file, whole or not at all.
+        """Write the film to a file, completely or not at all.
 
         Parameters
         ----------
         path : str or Path
-            Its ending says what is written: ``.gif``; ``.mp4``, for which ffmpeg has to be
-            installed; ``.html``, a page with a slider, the energy and the residual, in one file.
+            The file.  The suffix determines the format: ``.gif``; ``.mp4``, which needs ffmpeg;
+            ``.html``, a self-contained page with a slider, the energy and the residual.
         progress : bool or callable, optional
             True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers
             of frames.
@@ -126,10 +126,11 @@ class Animation:
         Raises
         ------
         ValueError
-            If the ending is another, or a GIF would have more than 50 frames a second, which
+            If the suffix is another, or a GIF would have more than 50 frames per second, which
             browsers do not show.
         ImportError
-            If Jinja2, which pages need, or Pillow is not installed; the text has the line to type.
+            If Pillow, or Jinja2 for a page, is not installed.  The message has the command that
+            installs it.
         RuntimeError
             If ffmpeg is not installed or fails.
         OSError
@@ -251,7 +252,7 @@ def _packed(pixels: NDArray[np.uint8]) -> NDArray[np.int_]:
 
 
 def _nearest(pixels: NDArray[np.uint8], palette: list[int]) -> NDArray[np.uint8]:
-    """Return for each pixel the number of the nearest colour of a palette."""
+    """Return for each pixel the index of the nearest colour of a palette."""
     colours, where = np.unique(_packed(pixels), return_inverse=True)
     known = np.reshape(palette, (-1, 3))
     apart = np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=1)[:, None] - known
@@ -274,47 +275,48 @@ def animate(
     scale: float | None = None,
     ax: Axes | None = None,
 ) -> Animation:
-    """Make a film of a run: the body, the trail of its contacts, the reactions that act there.
+    """Create a film of a run: the body, the trails of its contacts, and the reactions.
 
     The frames are evenly spaced in time, from the first stored state to the last.  States between
-    the stored ones are those of ``run(t)``, in D; where there are none (a run with ``t_eval``,
-    around a reset) the nearest stored state is drawn, with its own time.
+    the stored ones are those of ``run(t)``, in D.  If ``run(t)`` is not available (for a run with
+    ``t_eval``, or around a reset), the frame shows the nearest stored state and its time.
 
     Parameters
     ----------
     run : Solution
     body : callable, optional
-        ``body(t, q, v)`` returns the shapes to draw, see `dalembert.plot.bodies`.  Default: the
-        body of a system of the library, else a point with its velocity, and in space, for one
-        constraint, with the plane of D.
+        ``body(t, q, v)`` returns the shapes to draw, see `dalembert.plot.bodies`.  The default for
+        a system of the library is its body.  Other systems are drawn as a point with its velocity,
+        in space with the plane of D if there is one constraint.
     coordinates : sequence of int, optional
-        Which of q are places, two in the plane or three in space: for the point, which is then
-        drawn instead of the library's body, and for the components of the reactions.  Default:
-        those called x and y, and z if there are no others; else the first two.
+        Indices of the coordinates of a position, two in the plane or three in space.  They
+        determine the point, which is then drawn instead of the library's body, and the components
+        of the reactions.  Default: x and y, with z if there are no other coordinates; otherwise the
+        first two.
     fps : float, optional
-        Frames of each second of the film.
+        Frames per second of the film; default 20.
     seconds : float, optional
-        Duration of the film, whatever the duration of the run in the user's units of time.
+        Duration of the film in seconds, independent of the duration of the run; default 5.
     trail : bool, optional
-        Whether contacts leave trails; where a body has none, its dots do.
+        Whether contacts, or the dots of a body without contacts, leave trails.
     multipliers : bool, optional
-        Whether the reactions are drawn, as arrows mu^T lambda at the contacts.  They are left out
-        where all of them are zero to roundoff.
+        Whether to draw the reactions mu^T lambda as arrows at the contacts.  They are omitted if
+        all are zero to roundoff.
     scale : float, optional
-        Units of force for one unit of length of the arrows.  Default: a round number; the legend
-        has it.
+        Units of force for one unit of length of the arrows.  Default: a round number, shown in the
+        legend.
     ax : matplotlib axes, optional
-        In the plane, for space too.
+        Plane axes, also for films in space.
 
     Returns
     -------
     Animation
-        With ``save``, ``frame``; a notebook shows it as a page with a slider.
+        Has the methods ``save`` and ``frame``; a notebook shows it as a page with a slider.
 
     Raises
     ------
     ValueError
-        If it is no run, an argument is out of its range, or the body returns something else than
+        If ``run`` is not a Solution, an argument is out of range, or the body does not return
         shapes.
     ImportError
         If matplotlib is not installed.
@@ -326,7 +328,7 @@ def animate(
     >>> dal.plot.animate(run)
     <Animation of sleigh: 100 frames, 5 seconds>
 
-    With a body of one's own, for a system of one's own:
+    With your own body:
 
     >>> draw = dal.plot.bodies
     >>> def skate(t, q, v):
@@ -357,19 +359,19 @@ def snapshots(
     multipliers: bool = False,
     scale: float | None = None,
 ) -> Axes:
-    """Draw the body at several times along the whole trail, in one picture.
+    """Draw the body at several times along its trail, in one plot.
 
     Parameters
     ----------
     run : Solution
     body : callable, optional
-        As for `dalembert.plot.animate`; so are ``coordinates`` and ``scale``.
+        As for `dalembert.plot.animate`; also ``coordinates`` and ``scale``.
     ax : matplotlib axes, optional
     count : int, optional
-        How many outlines, evenly spaced in time; the later the darker.
+        Number of outlines, evenly spaced in time; later ones are darker.  Default 9.
     coordinates : sequence of int, optional
     multipliers : bool, optional
-        Whether the reactions are drawn.
+        Whether to draw the reactions.
     scale : float, optional
 
     Returns

@@ -1,8 +1,8 @@
-"""Bodies: what is drawn of a system at a state, in films and snapshots of runs.
+"""Bodies: the shapes that represent the state of a system in films and snapshots.
 
 A body is a function of ``(t, q, v)`` that returns shapes: outlines, bars, blades, dots and arrows,
-in the plane or in space.  The catalogue's systems have one each; for a system of your own you
-write a function:
+in the plane or in space.  Each system of the catalogue has one.  For your own system, write a
+function:
 
 >>> import dalembert as dal
 >>> draw = dal.plot.bodies
@@ -13,9 +13,9 @@ write a function:
 >>> film = dal.plot.animate(run, skater)
 
 A shape with ``constraints`` is a contact: its middle leaves a trail, and the reaction of these
-constraints is drawn there.  Where no shape is one, the dots leave trails.  The bodies of the
-library are drawn to scale; what has no size in the model (a blade, a sledge around it) is as large
-as can be seen.
+constraints is drawn there.  If no shape is a contact, the dots leave trails.  The bodies of the
+library are drawn to scale; parts without a size in the model (a blade, a sledge around it) have a
+visible size.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ ROLES = ("ground", "plane", "body", "bar", "blade", "dot", "velocity", "reaction
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Points, and what they are.
+    """Points, and their role in a drawing.
 
     Attributes
     ----------
     role : str
-        One of ``bodies.ROLES``: "body" and "plane" are closed and filled, "ground", "bar" and
-        "blade" are lines, "dot" is one point, "velocity" and "reaction" are arrows from the first
+        One of ``bodies.ROLES``: "body" and "plane" are closed and filled; "ground", "bar" and
+        "blade" are lines; "dot" is one point; "velocity" and "reaction" are arrows from the first
         point to the second.
     points : ndarray, shape (K, 2) or (K, 3)
         In the user's units of length.
@@ -82,7 +82,7 @@ Body = Callable[[float, Array, Array], Iterable[Shape]]
 
 
 def polygon(points: ArrayLike) -> Shape:
-    """Return a closed and filled outline.
+    """Return a closed, filled outline.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def line(*points: ArrayLike) -> Shape:
 def blade(
     centre: ArrayLike, heading: float, length: float, constraints: int | Sequence[int] = ()
 ) -> Shape:
-    """Return a blade, or a wheel from above, as a thick line: it moves along itself only.
+    """Return a blade, or a wheel seen from above, as a thick line along its direction of motion.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def blade(
         Angle to the x axis.
     length : float
     constraints : int or sequence of int, optional
-        Numbers of the constraints that keep it there.
+        Numbers of the constraints that guide it.
 
     Examples
     --------
@@ -171,12 +171,12 @@ def dot(place: ArrayLike, constraints: int | Sequence[int] = ()) -> Shape:
 
 
 def arrow(place: ArrayLike, vector: ArrayLike) -> Shape:
-    """Return an arrow, drawn as velocities are.
+    """Return an arrow in the style of velocities.
 
     Parameters
     ----------
     place, vector : array_like, shape (2,) or (3,)
-        Where it begins, and from there to its tip, in units of length.
+        Start of the arrow, and the vector from there to its tip, in units of length.
 
     Examples
     --------
@@ -213,7 +213,7 @@ def _normal(angle: float) -> Array:
 
 
 def _placed(points: Array, at: ArrayLike, heading: float) -> Array:
-    """Return points that are given in the frame of a body."""
+    """Return points given in the frame of a body."""
     return np.asarray(at) + points @ np.array([direction(heading), _normal(heading)])
 
 
@@ -226,8 +226,8 @@ def size(points: Array) -> float:
 def forms(run: Solution, t: Array, q: Array, v: Array, columns: Sequence[int]) -> Array:
     """Return some columns of mu = phi_v at states, shape (N, m, number of columns).
 
-    Differences of phi are exact but for roundoff where it is affine in v; else the step is small
-    against v.
+    They are differences of phi, exact up to roundoff if phi is affine in v.  Otherwise the step is
+    small compared with v.
     """
     speed = np.abs(v).max(axis=1)
     at_least = np.finfo(float).tiny if run.system.kind == "nonlinear" else 1.0
@@ -246,7 +246,7 @@ def forms(run: Solution, t: Array, q: Array, v: Array, columns: Sequence[int]) -
 
 
 def point(run: Solution, coordinates: Sequence[int]) -> Body:
-    """Return a dot at some coordinates, with its velocity; in space with the plane of D."""
+    """Return a dot at some coordinates, with its velocity, in space with the plane of D."""
     places = list(coordinates)
     where, v = run.q[:, places], run.v[:, places]
     whole = size(where)
@@ -297,7 +297,7 @@ def _knife_edge(run: Solution) -> Body:
 
 
 def _sleigh(ahead: float, rotor: float = 0.0) -> Callable[[Solution], Body]:
-    """Return a sledge; (x, y) lies so many times a ahead of the blade, the centre of mass once."""
+    """Return a sledge whose (x, y) is ``ahead`` times a ahead of the blade."""
 
     def make(run: Solution) -> Body:
         a = run.system.parameters["a"]
@@ -328,9 +328,9 @@ def _sleigh(ahead: float, rotor: float = 0.0) -> Callable[[Solution], Body]:
 def _wheel(
     heading: int, roll: int, radius: str, lean: int | None = None
 ) -> Callable[[Solution], Body]:
-    """Return a wheel with a mark on its rim; the arguments say where its angles are in q.
+    """Return a wheel with a mark on its rim; the arguments are the indices of its angles in q.
 
-    A material point at the angle s from the one that is below at roll = 0.
+    A material point has the angle s from the lowest point at roll = 0.
     """
 
     def make(run: Solution) -> Body:
@@ -364,7 +364,7 @@ _RIM = np.linspace(-0.2, 0.2, 5)
 
 
 def _ball(run: Solution) -> Body:
-    """From above; the table has spokes, so that one sees it turn."""
+    """Return a ball seen from above; spokes of the table show its rotation."""
     a, turn = run.system.parameters["a"], run.system.parameters["Omega"]
     reach = float(np.hypot(*run.q[:, :2].T).max()) + 1.3 * a
     spokes = np.arange(3) * np.pi / 3
@@ -386,7 +386,7 @@ def _ball(run: Solution) -> Body:
 def _axle(
     centre: Array, heading: float, width: float, length: float, constraint: int
 ) -> list[Shape]:
-    """Two wheels and what is between them; the reaction acts at the middle."""
+    """Return two wheels and the axle between them; the reaction acts at its middle."""
     side = width * _normal(heading)
     return [
         line(centre - side, centre + side),
@@ -519,6 +519,6 @@ IN_SPACE = tuple(name for name, make in _MADE.items() if make is _in_space)
 
 
 def of(run: Solution) -> Body | None:
-    """Return the body of a system of the library; None if it is another."""
+    """Return the body of a system of the library; None for other systems."""
     system = run.system
     return _MADE[system.name](run) if system._source.of_library else None

@@ -1,4 +1,4 @@
-"""Pictures of ensembles: end states, basins, bands; and what a notebook shows."""
+"""Plots of ensembles: end states, basins, bands; and their display in a notebook."""
 
 from __future__ import annotations
 
@@ -18,26 +18,25 @@ _BANDS = ((5, 95, 0.2), (25, 75, 0.35))  # percentiles, and how dense they are d
 def draw(
     self: Ensemble, what: str | None = None, ax: Axes | None = None, *, y: str | None = None
 ) -> Axes:
-    """Draw the ensemble; members that failed are left out, or grey.
+    """Draw the ensemble; failed members are omitted, or grey.
 
-    Rows in time are drawn as bands of ``what``: the median, and between which values half and nine
-    tenths of the members are.  A grid of two axes is drawn as a map of ``what`` at the end.  Else
-    the end states are drawn, ``y`` over ``what``.
+    Results over time are drawn as bands of ``what``: the median, and the ranges that contain half
+    and nine tenths of the members.  For a grid with two axes the plot is a map of ``what`` at the
+    end.  Otherwise it shows the end states, ``y`` over ``what``.
 
     Parameters
     ----------
     what : str, optional
-        A coordinate, a velocity ("v_theta"), or anything else that was kept as one number.
-        Default: which event has ended the members of a grid, if there are events; else the first
-        coordinate.
+        A coordinate, a velocity ("v_theta"), or another scalar result.  Default: the first
+        coordinate; for a grid with events, the number of the event that ended each member.
     ax : matplotlib axes, optional
     y : str, optional
-        Of end states: default the second coordinate.
+        Vertical axis for end states; default: the second coordinate.
 
     Raises
     ------
     ValueError
-        If it was not kept, or is not one number.
+        If the quantity was not kept, or is not a scalar.
     ImportError
         If matplotlib is not installed.
 
@@ -64,14 +63,14 @@ def draw(
 
 
 def _first(found: Ensemble) -> str:
-    """Return a name that can be drawn."""
+    """Return the name of a quantity that can be drawn."""
     if "q" in found:
         return found.system.coordinates[0]
     return found.kept[0] if found.kept else "t_end"
 
 
 def values_of(found: Ensemble, name: str) -> Array:
-    """Return one number for each member, or each of its rows; ValueError if there is none."""
+    """Return one number for each member or row; raise ValueError for other quantities."""
     places = (*found.system.coordinates, *(f"v_{x}" for x in found.system.coordinates))
     if name not in found and name in places and "q" in found:
         k = places.index(name)
@@ -143,7 +142,7 @@ def _states(found: Ensemble, x: str, y: str, ax: Axes) -> None:
 
 
 def page(self: Ensemble) -> str | None:
-    """Return the ensemble for a notebook: what was given, what went through, what was kept."""
+    """Return the ensemble for a notebook: arguments, outcome and results."""
     status = self["status"]
     shape = " × ".join(map(str, self.shape))
     rows = [

@@ -1,4 +1,4 @@
-"""A film as a page of its own: the run's data, and the script that draws them; no network."""
+"""A film as a self-contained page: the data of the run and the script that draws them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CURVE = 200  # stretches of a curve, with two points each
 
 
 def html(scene: Scene, fps: float, trail: bool) -> str:
-    """Return the film of a scene as a page of its own."""
+    """Return the film of a scene as a self-contained page."""
     web.require()
     run = scene.run
     about = f"{run.scheme.name}, {run._how}: {len(scene.t)} frames of {len(run.t)} states"
@@ -37,7 +37,7 @@ def frame(scene: Scene, fps: float, trail: bool) -> web.HTML:
 
 
 def _data(scene: Scene, fps: float, trail: bool) -> str:
-    """Return what the script of a page draws, as JSON that may stand in HTML."""
+    """Return the data for the script of a page, as JSON that is safe in HTML."""
     run = scene.run
     low, span = scene.limits[0], np.ptp(scene.limits, axis=0)
     unit = 4000 / span.max()
@@ -86,7 +86,7 @@ def _data(scene: Scene, fps: float, trail: bool) -> str:
 
 
 def _ticks(scene: Scene, whole: Any) -> list[list[Any]]:
-    """Return the lines of the grid: 0 for x or 1 for y, where, and what is written there."""
+    """Return the lines of the grid: 0 for x or 1 for y, the coordinate, and the label."""
     found = []
     for axis in (0, 1):
         low, high = scene.limits[:, axis] / scene.grid
@@ -98,7 +98,7 @@ def _ticks(scene: Scene, whole: Any) -> list[list[Any]]:
 
 
 def _curve(name: str, t: Array, y: Array, bound: float | None = None) -> dict[str, Any]:
-    """Return a curve for a page: of each stretch the lowest and the highest value."""
+    """Return a curve for a page: the smallest and the largest value of each stretch."""
     if len(t) > 2 * CURVE:
         starts = np.linspace(0, len(t), CURVE, endpoint=False, dtype=int)
         pick = set()

@@ -1,4 +1,4 @@
-"""What notebooks show of systems, runs, checks and schemes."""
+"""Displays of systems, runs, checks and schemes in notebooks."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def system(self: System) -> str | None:
 
 
 def run(self: Solution) -> str | None:
-    """Return a run for a notebook: what was run, what it keeps, its path, and what it has cost."""
+    """Return a run for a notebook: its summary, residual, energy, path and counters."""
     if not extras.is_there("jinja2"):
         return None
     unit = panels.unit(self.system, "t")
@@ -79,7 +79,7 @@ def run(self: Solution) -> str | None:
 
 
 def _kept(self: Solution) -> str:
-    """The verdict on the set that the scheme keeps: of the whole run, or of states of it."""
+    """Return the verdict on the set that the scheme preserves, for the whole run or some states."""
     if self.system.m == 0:
         return "no constraints"
     size, where = self.stats.worst_residual, "after every step"
@@ -100,7 +100,7 @@ def _residual(self: Solution, rows: Any) -> Array:
 
 
 def _energy(self: Solution) -> str:
-    """The energy at the start, and its change from there to the end."""
+    """Return the energy at the start, and its change until the end, in words."""
     x, n = np.asarray(self.x[[0, -1]]), self.system.n
     first, last = geometry.energy(self.system, x[:, :n], x[:, n:], self.t[[0, -1]])
     free = "" if self.system.conserves_energy else ", where it is no first integral"
@@ -109,7 +109,7 @@ def _energy(self: Solution) -> str:
 
 
 def _picture(self: Solution) -> list[web.HTML]:
-    """The path, if it can be drawn: a notebook shows the rest all the same."""
+    """Return the path, or nothing if it cannot be drawn; a notebook shows the rest all the same."""
     try:
         return [panels.motion(self, "run")]
     except Exception:  # of matplotlib, or because it is not installed
@@ -124,7 +124,7 @@ def check(self: Check) -> str | None:
 
 
 def scheme(self: Scheme) -> str | None:
-    """Return a scheme for a notebook: what it promises, and its sub-steps."""
+    """Return a scheme for a notebook: its promise and its sub-steps."""
     steps = [f"({beta:g}, {fraction:g})" for beta, fraction in self.substeps]
     promised = f"p = {self.order}, s = {self.multiplier_order}" if self.order else "nothing"
     rows = [
@@ -139,6 +139,6 @@ def scheme(self: Scheme) -> str | None:
 
 
 def attach() -> None:
-    """Give objects what notebooks show of them."""
+    """Attach the notebook displays to the classes."""
     for kind, shown in ((System, system), (Solution, run), (Check, check), (Scheme, scheme)):
         setattr(kind, "_repr_html_", shown)

@@ -1,6 +1,7 @@
-"""The pages of systems: what each says about itself, and a typical run, as HTML.
+"""Pages about systems: description and a typical run, as HTML.
 
-A page is self-contained: no network, the same bytes every time, and no script but that of its film.
+A page is self-contained: it needs no network, has the same bytes every time, and no script except
+that of its film.
 """
 
 from __future__ import annotations
@@ -41,16 +42,16 @@ def write(
     *,
     progress: Progress = False,
 ) -> list[Path]:
-    """Write a page for each system, and an index of them.
+    """Write a page for each system, and an index.
 
     Parameters
     ----------
     folder : str or Path, optional
-        Where index.html and the pages NAME.html go; made if it is not there, files of these names
-        are replaced.
+        Folder for index.html and the pages NAME.html.  It is created if necessary; files of these
+        names are replaced.
     chosen : str, System or iterable of them, optional
-        Names of systems, or systems with initial data.  Default: all that come with the library,
-        but those written in SymPy only if that is installed.
+        Names of systems, or systems with initial data.  Default: all systems of the library; those
+        written in SymPy only if it is installed.
     progress : bool or callable, optional
         True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers of
         pages, before each and at the end.
@@ -58,18 +59,18 @@ def write(
     Returns
     -------
     list of Path
-        Of the files, the index first.
+        Paths of the files, the index first.
 
     Raises
     ------
     ValueError
-        If there is no system of a name, a system has no initial data, two have the same name, one
-        is called index, or there are none.
+        If a name is unknown, a system has no initial data, two have the same name, one is called
+        "index", or there are none.
     ImportError
-        If matplotlib or Jinja2 is not installed, or SymPy and a system needs it; the text has the
-        line to type.
+        If matplotlib, Jinja2, or SymPy for a system that needs it, is not installed.  The message
+        has the command that installs it.
     OSError
-        If a file cannot be written; the text has its name.
+        If a file cannot be written; the message has its name.
 
     Examples
     --------
@@ -116,7 +117,7 @@ def write(
 
 
 def available() -> tuple[str, ...]:
-    """Return the names of all systems that can be made here.
+    """Return the names of all systems available in this installation.
 
     Examples
     --------
@@ -134,14 +135,14 @@ def page(system: System) -> str:
     Parameters
     ----------
     system : System
-        With initial data.
+        A system with initial data.
 
     Raises
     ------
     ValueError
-        If it is no system, or has no initial data.
+        If ``system`` is not a System, or has no initial data.
     ImportError
-        If matplotlib or Jinja2 is not installed; the text has the line to type.
+        If matplotlib or Jinja2 is not installed.  The message has the command that installs it.
 
     Examples
     --------
@@ -162,7 +163,7 @@ def _require_start(system: System) -> None:
 
 
 def _slug(system: System) -> str:
-    """Return the name of a system as that of a file."""
+    """Return the name of a system as a file name."""
     return re.sub(r"[^\w-]", "_", system.name)
 
 
@@ -219,7 +220,7 @@ def _sections(system: System, run: Solution) -> Iterator[web.Section]:
 
 
 def _pictures(system: System, run: Solution) -> Iterator[web.HTML]:
-    """What the run keeps, and its coordinates over time unless they were shown already."""
+    """Yield plots of the conserved quantities, and of the coordinates unless they were shown."""
     slug, styles = _slug(system), plot.styles([run.scheme.name])
     drift = "The error of the energy."
     if not system.conserves_energy:
@@ -235,7 +236,7 @@ def _pictures(system: System, run: Solution) -> Iterator[web.HTML]:
 
 
 def _given(system: System) -> Iterator[web.Section]:
-    """The parameters and the initial data, with units that are known."""
+    """Yield the parameters and the initial data, with known units."""
     values = [(f"`{key}`", f"{x:.15g}") for key, x in system.parameters.items()]
     if values:
         yield "", "", Table(["parameter", "value"], values)
@@ -249,7 +250,7 @@ def _given(system: System) -> Iterator[web.Section]:
 
 
 def _facts(system: System) -> list[tuple[str, str]]:
-    """What the system is, and what its examination finds."""
+    """Return facts about the system and the results of its check."""
     found = system.check()
     rows = [
         ("coordinates n", str(system.n)),
@@ -273,7 +274,7 @@ def _facts(system: System) -> list[tuple[str, str]]:
 
 
 def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
-    """How D grows by brackets."""
+    """Return facts about the growth of D by brackets."""
     grown = found.growth
     if grown is None:
         return []
@@ -291,7 +292,7 @@ def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
 
 
 def _invariants(system: System, runs: Sequence[Solution]) -> web.Section:
-    """The first integrals, and how far they drift in the typical run and in the accurate one."""
+    """Return the first integrals, and their drift in the typical and in the accurate run."""
     conserved = system.conserves_energy
     values = [
         {**({"energy": x.energy} if conserved else {}), **system.invariant(x.q, x.v, x.t)}
@@ -316,7 +317,7 @@ def _invariants(system: System, runs: Sequence[Solution]) -> web.Section:
 
 
 def _invariant(system: System, name: str) -> str:
-    """An invariant by its name; if there are shorthands in it, by its expression too."""
+    """Return an invariant by its name, and by its expression too if that has abbreviations."""
     velocities = {f"v_{x}" for x in system.coordinates}
     with contextlib.suppress(ImportError, ValueError):
         names = {x.name for side in formula.read(name) for x in side.free_symbols}
@@ -332,14 +333,14 @@ def _invariant(system: System, name: str) -> str:
 
 
 def _known_states(system: System) -> tuple[systems.KnownState, ...]:
-    """The states to 30 digits, of a system of the library with its own parameters."""
+    """Return the states to 30 digits of a system of the library with its default parameters."""
     if not system._source.of_library or systems.get(system.name).parameters != system.parameters:
         return ()
     return systems.known_states(system.name)
 
 
 def _known(system: System) -> Iterator[web.Section]:
-    """The reference to 30 digits."""
+    """Yield the reference solution to 30 digits."""
     if states := _known_states(system):
         rows = [
             (f"`{shown}`", *(getattr(x, letter)[i] for x in states))
@@ -356,7 +357,7 @@ def _known(system: System) -> Iterator[web.Section]:
 
 
 def _accuracy(system: System, runs: Sequence[Solution]) -> Iterator[web.Section]:
-    """How far runs are from the exact solution and from the reference."""
+    """Yield the distances of runs from the exact solution and from the reference."""
     known: dict[str, Callable[[float], Any]] = {}
     if system.has_exact:
         known["the exact solution"] = lambda t: np.concatenate(system.exact(float(t)))
@@ -374,7 +375,7 @@ def _accuracy(system: System, runs: Sequence[Solution]) -> Iterator[web.Section]
 
 
 def _distance(run: Solution, at: Callable[[float], Any], t: float) -> str:
-    """How far a run is from what it should be at a time, if it came so far."""
+    """Return the distance of a run from the exact state at a time, if the run reached it."""
     k = round(t / run.h)
     return number(float(np.abs(run.x[k] - at(t)).max())) if k < len(run.x) else "-"
 
@@ -396,13 +397,13 @@ def _programs(system: System, run: Solution) -> Iterator[web.Section]:
 
 
 def _changed(system: System) -> dict[str, float]:
-    """The parameters that are not as the library has them."""
+    """Return the parameters that differ from those of the library."""
     default = systems.get(system.name).parameters
     return {key: x for key, x in system.parameters.items() if x != default[key]}
 
 
 def python_lines(system: System) -> str:
-    """Return the program of Python that makes a system of the library and its typical run."""
+    """Return the Python program that creates a system of the library and its typical run."""
     values = ", ".join(f"{key}={x!r}" for key, x in _changed(system).items())
     return f"""import dalembert as dal
 
@@ -412,7 +413,7 @@ print(run.x[-1])"""
 
 
 def c_lines(system: System) -> str:
-    """Return the program of C that does the same."""
+    """Return the C program that does the same."""
     changed = _changed(system)
     declare = ""
     names = values = "NULL"

@@ -1,4 +1,4 @@
-"""Parts of pages: equations, and pictures as narrow panels that say in words what is seen."""
+"""Parts of pages: equations, and plots as narrow panels with a description in words."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROWS = 2000  # of a run, of which more than these are drawn by some of them
 
 
 def equations(system: System) -> web.HTML:
-    """Return the equations of motion, and the formulas in them, or what is known instead."""
+    """Return the equations of motion and the formulas in them, or other known facts instead."""
     rows: list[tuple[str, Any]] = [("", web.equation(_MOTION.format(
         force="<mo>+</mo><mi>f</mi>" * system.is_forced, reaction=_REACTION * (system.m > 0)
     )))]  # fmt: skip
@@ -50,7 +50,7 @@ _REACTION = (
 
 
 def _made_of(system: System) -> str:
-    """What is known of a system without formulas."""
+    """Return the known facts about a system without formulas."""
     given = [name for name, x in system._source.named().items() if x is not None]
     parts = ", ".join(["a constant mass"] * system.has_constant_mass + given) or "functions"
     names = ", ".join(system.coordinates[:COORDINATES]) + ", ..." * (system.n > COORDINATES)
@@ -72,12 +72,12 @@ def _range(name: str, values: Array, unit: str = "") -> str:
 
 
 def unit(system: System, name: str) -> str:
-    """Return a unit as it stands behind a number, or nothing."""
+    """Return a unit to put after a number, or ""."""
     return f" {x}" if (x := system.unit(name)) else ""
 
 
 def label(system: System, name: str) -> str:
-    """Return a coordinate for Matplotlib, theta_x as a letter with an index, and its unit."""
+    """Return a coordinate and its unit for Matplotlib; theta_x becomes a letter with an index."""
     unit = plot.plain(f" ({x})" if (x := system.unit(name)) else "")
     with contextlib.suppress(ImportError, ValueError):
         if name.isidentifier() and len(name) < 12:  # longer ones are words, not letters
@@ -89,22 +89,22 @@ def label(system: System, name: str) -> str:
 
 
 def plane(system: System) -> tuple[int, int] | None:
-    """Return where x and y are among the coordinates, if they are."""
+    """Return the indices of the coordinates x and y, if there are any."""
     with contextlib.suppress(ValueError):
         return system.coordinates.index("x"), system.coordinates.index("y")
     return None
 
 
 def some(run: Solution) -> Any:
-    """Return indices of rows all over a run."""
+    """Return indices of rows spread over a run."""
     return np.unique(np.linspace(0, len(run.x) - 1, min(len(run.x), ROWS)).astype(int))
 
 
 def _drawn(run: Solution) -> tuple[Solution, str]:
-    """Return what is drawn of a run, and in words what is left out.
+    """Return the part of a run to draw, and in words the omitted part.
 
-    Of a long run these are rows all over it, if lines between them are the others to 1 %; else it
-    would look slower than it is, and its beginning is drawn.
+    For a long run these are rows spread over it, if linear interpolation reproduces the others to 1
+    %.  Otherwise the motion would look slower than it is, and the beginning of the run is drawn.
     """
     count = len(run.x)
     if count <= ROWS:
@@ -122,7 +122,7 @@ def _drawn(run: Solution) -> tuple[Solution, str]:
 
 @web.default_style()
 def motion(run: Solution, name: str, caption: str = "") -> web.HTML:
-    """Return the path in the plane of x and y, or the coordinates over time where there is none."""
+    """Return the path in the plane of x and y; without these, the coordinates over time."""
     if (where := plane(run.system)) is None:
         return coordinates(run, name, caption)
     run, left = _drawn(run)
@@ -135,7 +135,7 @@ def motion(run: Solution, name: str, caption: str = "") -> web.HTML:
 
 @web.default_style()
 def coordinates(run: Solution, name: str, caption: str = "") -> web.HTML:
-    """Return the coordinates over time, one below the other."""
+    """Return the coordinates over time, in separate panels."""
     run, left = _drawn(run)
     system = run.system
     shown = system.coordinates[:COORDINATES]
@@ -154,7 +154,7 @@ def coordinates(run: Solution, name: str, caption: str = "") -> web.HTML:
 
 
 def _seen(run: Solution, where: Sequence[int] | None = None) -> str:
-    """Where the path goes in a plane, or the coordinates over time."""
+    """Return a description of the path in a plane, or of the coordinates over time."""
     system, times = run.system, f"from t = {run.t[0]:g} to {run.t[-1]:g}"
     names = system.coordinates
     said = "; ".join(
@@ -196,7 +196,7 @@ def convergence(
 
 
 def _falls(study: Study) -> str:
-    """How the error of a scheme falls with the step size."""
+    """Return a description of the decrease of the error with the step size."""
     who, drawn, fit = study.scheme.name, np.isfinite(study.state_error), study.fits["global_state"]
     h, error = np.abs(study.h[drawn]), study.state_error[drawn]
     if len(h) == 0:
@@ -218,9 +218,9 @@ def _falls(study: Study) -> str:
 def residuals(
     runs: Sequence[Solution], name: str, styles: Mapping[str, Any], captions: Sequence[str]
 ) -> list[web.HTML]:
-    """Return the relative residuals of D, and those of D_eps if one of the schemes has them.
+    """Return the relative residuals of D, and of D_eps if one of the schemes has it.
 
-    With one caption the former alone; none if there are no constraints.
+    With one caption the result has D alone; without constraints it is empty.
     """
     if runs[0].system.m == 0:
         return []
@@ -249,7 +249,7 @@ def residuals(
 def energies(
     runs: Sequence[Solution], name: str, styles: Mapping[str, Any], caption: str = ""
 ) -> web.HTML:
-    """Return the relative change of the energy over time, each scheme on an axis of its own."""
+    """Return the relative change of the energy over time, one panel for each scheme."""
     figure = web.figure(WIDTH, 3.4 if len(runs) < 3 else 4.2)
     axes = figure.subplots(len(runs), 1, sharex=True, squeeze=False)[:, 0]
     for run, ax in zip(runs, axes):
@@ -265,14 +265,14 @@ def energies(
 
 
 def _swings(run: Solution) -> str:
-    """How far the energy of a run goes."""
+    """Return a description of the range of the energy of a run."""
     change = (run.energy - run.energy[0]) / max(abs(run.energy[0]), 1.0)
     low, high, last = (f"{x:.1e}" for x in (change.min(), change.max(), change[-1]))
     return f"{run.scheme.name} between {low} and {high}, {last} at the end"
 
 
 def _legend_below(figure: Any, ax: Any) -> None:
-    """Give axes their legend below them, in two columns, instead of one in them."""
+    """Put the legend of axes below them, in two columns."""
     if ax.get_legend() is not None:
         ax.get_legend().remove()
     entries = ax.get_legend_handles_labels()

@@ -1,7 +1,7 @@
-"""Pictures of studies and runs, with matplotlib.
+"""Plots of studies and runs, with matplotlib.
 
-Every function takes ``ax=None`` (default: axes of their own), returns the axes and shows nothing.
-Colours are those of Okabe and Ito; markers and line styles differ as well, so that a picture reads
+Every function takes ``ax=None`` (default: new axes) and returns the axes without showing them.
+Colours are those of Okabe and Ito.  Markers and line styles differ as well, so plots are readable
 in black and white.
 """
 
@@ -55,12 +55,12 @@ def styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     Parameters
     ----------
     names : iterable of str
-        Names of schemes.  Up to 7 differ in colour; up to 280 in something.
+        Names of schemes.  Up to 7 differ in colour; up to 280 in colour, marker or line style.
 
     Returns
     -------
     dict of str to dict
-        Properties of a line, for the argument ``styles`` of the pictures.
+        Line properties, for the argument ``styles`` of the plots.
 
     Examples
     --------
@@ -89,24 +89,24 @@ def convergence(
 ) -> Axes:
     """Draw errors over the step size, log-log, with the fitted orders and slope triangles.
 
-    Lines join the points that count for the fit.  Hollow markers are the others: they are too close
-    to roundoff, or exactly zero and drawn at 1e-17.
+    Lines join the points that count for the fit.  The other points have hollow markers: they are
+    too close to roundoff, or exactly zero and drawn at 1e-17.
 
     Parameters
     ----------
     study : Study or sequence of Study
     ax : matplotlib axes, optional
     quantity : {"state", "q", "v", "multipliers", "local", "reactions"}
-        The errors at ``t_end`` (of (q, v), of q, ...), or the one-step errors of (q, v) or of the
-        scheme's own multipliers.  The order in the legend is that of the
-        scheme, slope - 1 of the latter two.
+        "state", "q", "v" and "multipliers" are errors at ``t_end``.  "local" and "reactions" are
+        one-step errors of (q, v) and of the scheme's own multipliers.  The legend shows the order
+        of the scheme, which for one-step errors is the slope minus 1.
     styles : mapping of scheme names to properties of a line, optional
         See `dalembert.plot.styles`.
 
     Raises
     ------
     ValueError
-        If there is no such quantity, nothing to draw, or something else than a study.
+        If the quantity is unknown, there is nothing to draw, or ``study`` is of another type.
     ImportError
         If matplotlib is not installed.
 
@@ -157,18 +157,18 @@ def drift(
     *,
     styles: Mapping[str, Style] | None = None,
 ) -> Array:
-    """Draw the relative residual of D and that of D_eps over time, side by side.
+    """Draw the relative residuals of D and of D_eps over time, side by side.
 
-    Exact zeros are drawn at 1e-17; the dashed line is the unit roundoff u.  Schemes with several
-    sub-steps have no D_eps and stand only on the left.  A hollow marker is the start of a run with
-    kept nodes that was in D and not in D_eps.  Of a run with more than 50 states the largest
-    residual in each of 50 stretches is drawn.
+    Exact zeros are drawn at 1e-17; the dashed line is the unit roundoff u. Schemes with several
+    sub-steps have no D_eps and appear only on the left.  A hollow marker is the start of a run with
+    kept nodes in D instead of D_eps.  For a run with more than 50 states the plot shows the largest
+    residual in each of 50 stretches.
 
     Parameters
     ----------
     solution : Solution or sequence of Solution
     ax : two matplotlib axes, optional
-        For D and for D_eps.
+        Axes for D and for D_eps.
     styles : mapping of scheme names to properties of a line, optional
         See `dalembert.plot.styles`.
 
@@ -179,7 +179,7 @@ def drift(
     Raises
     ------
     ValueError
-        If ``ax`` is not two axes, there is nothing to draw, or something else than a run.
+        If ``ax`` is not two axes, there is nothing to draw, or ``solution`` is of another type.
     ImportError
         If matplotlib is not installed.
 
@@ -232,7 +232,7 @@ def energy(
 ) -> Axes:
     """Draw the relative energy error over time, on a linear axis.
 
-    It is called a change where something does work, so that the energy is no first integral.
+    The label says "change" if the energy is not conserved because forces or constraints do work.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def energy(
     Raises
     ------
     ValueError
-        If there is nothing to draw, or something else than a run.
+        If there is nothing to draw, or ``solution`` is of another type.
     ImportError
         If matplotlib is not installed.
 
@@ -284,7 +284,7 @@ def path(
     solution : Solution
     ax : matplotlib axes, optional
     coordinates : pair of int
-        Which two of q.
+        Indices of two coordinates; default (0, 1).
 
     Raises
     ------
@@ -330,23 +330,23 @@ def perturbation(
 ) -> Axes:
     """Draw the largest component of ``|g|`` over tau for several h.
 
-    With the order of the scheme the curves nearly lie on each other; with one more they double as
-    h is halved.  A thin horizontal line is the noise of the curve of the same style, below which
-    it says nothing; where all is well it cannot be told from 0, and stands in the legend.
+    With the order of the scheme the curves nearly coincide; with one more they double if h is
+    halved.  A thin horizontal line is the noise of the curve of the same style; values below it are
+    roundoff.  Usually it is close to 0 and visible only in the legend.
 
     Parameters
     ----------
     embedding : Embedding
     ax : matplotlib axes, optional
     hs : sequence of float, optional
-        Steps.  Default: that of the embedding, a half and a quarter of it.
+        Steps.  Default: the step of the embedding, a half and a quarter of it.
     z : array_like, shape (2n-m,), optional
-        Where.  Default: ``embedding.start``.
+        The point.  Default: ``embedding.start``.
 
     Raises
     ------
     ValueError
-        If it is no embedding, there are no steps, or one is 0 or not finite.
+        If ``embedding`` is of another type, there are no steps, or one is 0 or not finite.
     ImportError
         If matplotlib is not installed.
 
@@ -384,12 +384,12 @@ def embedded(
     z: ArrayLike | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw ``|g|`` over tau for several h, see `dalembert.plot.perturbation`."""
+    """Draw ``|g|`` over tau for several h; see `dalembert.plot.perturbation`."""
     return perturbation(self, ax, hs=hs, z=z)
 
 
 def _lowest(triangles: dict[int, Any], slope: int, h: Array, error: Array) -> None:
-    """Keep for each slope the curve that lies lowest, where a triangle has room below it."""
+    """Keep for each slope the lowest curve, which has room for a triangle below it."""
     if len(h) < 2:
         return
     height = float(np.mean(np.log(error) - slope * np.log(h)))
@@ -398,7 +398,7 @@ def _lowest(triangles: dict[int, Any], slope: int, h: Array, error: Array) -> No
 
 
 def _triangle(ax: Axes, slope: int, h: Array, error: Array) -> None:
-    """A triangle of this slope below the middle of a curve."""
+    """Draw a triangle of this slope below the middle of a curve."""
     order = np.argsort(h)
     h, error = h[order], error[order]
     middle = math.sqrt(h[0] * h[-1])
@@ -422,12 +422,12 @@ def _hollow(ax: Axes, x: Array, y: Array, line: Any, **more: Any) -> None:
 
 
 def scientific(ax: Axes) -> None:
-    """Write the numbers of a vertical axis with powers of 10 where they are large or small."""
+    """Write the numbers of a vertical axis with powers of 10 if they are large or small."""
     ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
 
 
 def _residuals(run: Solution) -> tuple[Array, Array | None]:
-    """Relative residuals of D and of D_eps; None where the scheme has no D_eps."""
+    """Return the relative residuals of D and of D_eps; None if the scheme has no D_eps."""
     in_D = geometry.relative_residual(run.system, run.q, run.v)
     if len(run.scheme.substeps) != 1:
         return in_D, None
@@ -435,18 +435,18 @@ def _residuals(run: Solution) -> tuple[Array, Array | None]:
 
 
 def _stretches(t: Array, residual: Array) -> Pair:
-    """The largest residual in each stretch of a run, at the time where the stretch begins."""
+    """Return the largest residual in each stretch of a run, and the times of the stretches."""
     starts = np.unique(np.linspace(0, len(t), min(len(t), STRETCHES), endpoint=False, dtype=int))
     return t[starts], np.maximum(np.maximum.reduceat(residual, starts), ZERO)
 
 
 def _over_time(style: Style, points: int) -> dict[str, Any]:
-    """The style of a curve with many points: about a dozen markers, small ones."""
+    """Return the style of a curve with many points: about a dozen small markers."""
     return {**style, "markevery": max(1, points // 12), "markersize": 4, "linewidth": 1.2}
 
 
 def _styles(items: Sequence[Any], given: Mapping[str, Style] | None) -> dict[str, Style]:
-    """The styles that are given, and others for the rest of the schemes."""
+    """Return the given styles, and others for the remaining schemes."""
     return {**styles(item.scheme.name for item in items), **(given or {})}
 
 
@@ -455,12 +455,12 @@ def _systems(items: Sequence[Any]) -> str:
 
 
 def plain(text: str) -> str:
-    """Return a text of the user as Matplotlib draws it letter by letter: a $ begins no formula."""
+    """Return a text for Matplotlib in which a $ does not begin a formula."""
     return text.replace("$", r"\$")
 
 
 def unit(items: Iterable[Any], *names: str) -> str:
-    """Return the one unit of quantities of the systems of some runs or studies, if it is known."""
+    """Return the common unit of some quantities of the systems, if it is known."""
     found = {item.system.unit(name) for item in items for name in names}
     return plain(found.pop() or USERS) if len(found) == 1 else USERS
 
@@ -487,7 +487,7 @@ def require_kind(item: Any, what: str, kind: type, more: str = "") -> None:
 
 
 def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None) -> Axes:
-    """Inside for a few curves, beside the picture for many."""
+    """Add a legend, inside for a few curves, beside the axes for many."""
     handles, labels = entries or ax.get_legend_handles_labels()
     where: dict[str, Any] = {}
     if len(handles) > 4:
@@ -497,7 +497,7 @@ def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None)
 
 
 def axes_for(ax: Axes | None) -> Axes:
-    """Return axes for a picture: as given, or new ones."""
+    """Return the given axes, or new ones."""
     if ax is None:
         ax = _subplots()
     require_kind(ax, "ax", extras.require("matplotlib.axes", "a picture").Axes)

@@ -1,4 +1,4 @@
-"""A study as one self-contained HTML page: no script, no network, the same bytes every time."""
+"""A study as a self-contained HTML page: no script, no network, the same bytes every time."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ MOST = 4  # schemes in one picture
 def write(studies: Study | Studies | Sequence[Study], path: str | Path) -> Path:
     """Write the report of studies on one system as an HTML page.
 
-    The equations and a path come first, then the verdict, then pictures of the errors, of the drift
-    of D and D_eps and of the energy; folded are pictures of more than four schemes, tables, and how
-    to reproduce all this.  For the drift and the energy every scheme runs once more, 400 steps of a
-    twentieth of the interval each.
+    The page shows the equations, a path, and the verdict.  Plots of the errors, of the residuals of
+    D and D_eps, and of the energy follow.  Folded sections have the plots of more than four
+    schemes, tables, and the commands that reproduce the report.  For the residuals and the energy
+    every scheme runs once more, for 400 steps of a twentieth of the interval.
 
     Parameters
     ----------
     studies : Study, Studies or sequence of Study
         At least one, all on the same system from the same data.
     path : str or Path
-        The file to write; one that is there is replaced when the page is complete.
+        The file to write.  An existing file is replaced when the page is complete.
 
     Returns
     -------
     Path
-        Of the file.
+        Path of the file.
 
     Raises
     ------
     ValueError
-        If there is no study, or they are not on one system.
+        If there is no study, or they are on different systems.
     ImportError
-        If matplotlib or Jinja2 is not installed; the text has the line to type.
+        If matplotlib or Jinja2 is not installed.  The message has the command that installs it.
     OSError
-        If the file cannot be written; the text has its name.
+        If the file cannot be written; the message has its name.
 
     Examples
     --------
@@ -116,7 +116,7 @@ def _sections(studies: Studies, runs: dict[int, Solution]) -> Iterator[web.Secti
 
 
 def _about(studies: Studies) -> str:
-    """What was studied, from where to where, and what it is compared with."""
+    """Return the problem of the studies in words: system, interval and reference."""
     first = studies[0]
     system, unit = first.system, panels.unit
     start = ", ".join(f"{x} = {q:g}{unit(system, x)}" for x, q in zip(system.coordinates, first.q0))
@@ -144,7 +144,7 @@ _WORDS = (
 
 
 def _kind(study: Study) -> str:
-    """What kind of scheme it is of."""
+    """Return the kind of a scheme."""
     order = study.scheme.order
     if study.scheme.nodes == "kept":
         return "Kept nodes"
@@ -152,7 +152,7 @@ def _kind(study: Study) -> str:
 
 
 def _in_fours(studies: Studies) -> list[list[Study]]:
-    """What stands in one picture: first the failing ones and one of each kind, then the others."""
+    """Return groups of studies for one plot each: failures and one of each kind first."""
     kinds: dict[str, list[int]] = {}
     for k, study in enumerate(studies):
         kinds.setdefault(_kind(study), []).append(k)
@@ -169,7 +169,7 @@ def _in_fours(studies: Studies) -> list[list[Study]]:
 def _pictures(
     studies: Sequence[Study], runs: dict[int, Solution], styles: dict[str, Any], name: str
 ) -> web.HTML:
-    """The errors, the drift and the energy of some schemes."""
+    """Return plots of the errors, the residuals and the energy of some schemes."""
     these = [runs[id(study)] for study in studies]
     longest = max(these, key=lambda run: run.t[-1])
     short = ", ".join(run.scheme.name for run in these if run.t[-1] != longest.t[-1])
@@ -194,7 +194,7 @@ def _time(run: Solution, t: float) -> str:
 
 
 def _run(study: Study) -> Solution:
-    """One longer run of the scheme of a study, for the drift and the energy; or what there is."""
+    """Return a longer run of the scheme of a study, or the states before a failure."""
     return web.run(
         study.system, study.scheme, q0=study.q0, v0=study.v0, t0=study.t0,
         h=(study.t_end - study.t0) / 20, steps=400,
@@ -203,7 +203,7 @@ def _run(study: Study) -> Solution:
 
 
 def description(studies: Studies) -> dict[str, Any]:
-    """Return what determines the numbers of the studies, as plain data."""
+    """Return the data that determine the numbers of the studies."""
     first, *_ = told = [study.to_dict() for study in studies]
     same = ("system", "parameters", "q0", "v0", "t0", "t_end")
     each = ("scheme", "nodes", "initial", "steps")
@@ -232,12 +232,12 @@ def _reproduce(studies: Studies) -> Iterator[web.Section]:
 
 
 def _initial(studies: Studies) -> str | None:
-    """What schemes with kept nodes start with."""
+    """Return the meaning of the initial data for schemes with kept nodes."""
     return next((study.initial for study in studies if study.initial), None)
 
 
 def command(studies: Studies) -> str:
-    """Return the command line that makes these studies of a built-in system again."""
+    """Return the command line that repeats these studies of a built-in system."""
     first = studies[0]
     words = ["dalembert", "study", first.system.name]
     for key, x in first.system.parameters.items():

@@ -1,7 +1,7 @@
-"""What a film shows: states of a run at any time, shapes there, and how space is seen.
+"""The content of a film: states of a run at any time, shapes, and the projection of space.
 
-All is computed once, as lines and polygons in the plane of the picture; stage.py draws them with
-Matplotlib, and the script of a page (film_page.py) on the screen.
+Lines and polygons in the plane of the film are computed once.  Matplotlib draws them in stage.py,
+and the script of a page in film_page.py.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ LONGEST = 0.22  # of an arrow, in sizes of the picture
 
 
 def _states(run: Solution, t: Array) -> tuple[Array, Array]:
-    """Return times and the states there: those asked for, or of the nearest stored states.
+    """Return times and states there, at the requested times or of the nearest stored states.
 
-    The latter where there are none between: of a run with ``t_eval``, around a reset, before the
-    terminal event.
+    Nearest stored states are used for a run with ``t_eval``, around a reset, and before a terminal
+    event.
     """
     order = np.argsort(run.t, kind="stable")
     stored = run.t[order]
@@ -56,7 +56,7 @@ def _states(run: Solution, t: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Camera:
-    """A view in perspective from above, at a point, from a distance."""
+    """A perspective view from above of a point, from a distance."""
 
     centre: Array
     distance: float
@@ -76,13 +76,13 @@ class Camera:
 
 
 def _round_number(x: float) -> float:
-    """Return 1, 2 or 5 times a power of 10: the largest that is not above x > 0."""
+    """Return the largest of 1, 2 or 5 times a power of 10 that is at most x > 0."""
     power = 10.0 ** math.floor(math.log10(x))
     return power * max(k for k in (1, 2, 5) if k * power <= x * (1 + 1e-9))
 
 
 def _floor(points: Array) -> tuple[list[Shape], float]:
-    """Return a grid below points in space, shape (K, 3), and the sides of its squares."""
+    """Return a grid below points in space, shape (K, 3), and the side of its squares."""
     low, high = points.min(axis=0), points.max(axis=0)
     step = _round_number(float((high - low)[:2].max() or 1.0) / 5)
     (x0, y0), (x1, y1) = np.floor(low[:2] / step), np.ceil(high[:2] / step)
@@ -98,7 +98,7 @@ def _floor(points: Array) -> tuple[list[Shape], float]:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """All frames of a film, and how further ones are made."""
+    """All frames of a film, and the data for further frames."""
 
     run: Solution
     body: Body
@@ -119,11 +119,11 @@ class Scene:
         return self.look is not _flat
 
     def unit(self, name: str) -> str:
-        """Return a unit as it stands behind a number, or nothing."""
+        """Return a unit to put after a number, or ""."""
         return f" {unit}" if (unit := self.run.system.unit(name)) else ""
 
     def shapes(self, t: float) -> tuple[float, list[Shape]]:
-        """Return the time and the shapes of one instant."""
+        """Return the time and the shapes of one frame."""
         times, x = _states(self.run, np.array([t]))
         found = list(self.body(float(times[0]), *np.split(x[0], 2)))
         if self.scale:
@@ -136,7 +136,7 @@ def _flat(points: Array) -> Array:
 
 
 def _seen(shapes: Iterable[Shape], look: Any) -> list[Shape]:
-    """Return shapes in the plane of the picture, in the order in which they are drawn."""
+    """Return shapes in the plane of the film, in drawing order."""
     found = [replace(shape, points=look(shape.points)) for shape in shapes]
     return sorted(found, key=lambda shape: ROLES.index(shape.role))
 
@@ -150,7 +150,7 @@ def forces_at(run: Solution, t: Array, x: Array, columns: Sequence[int]) -> Arra
 
 
 def _contacts(shapes: Iterable[Shape]) -> list[Shape]:
-    """The shapes at which something acts; those that leave a trail."""
+    """Return the shapes with reactions; these leave a trail."""
     return [shape for shape in shapes if shape.constraints]
 
 
@@ -167,7 +167,7 @@ def arrows(shapes: Iterable[Shape], forces: Array, scale: float) -> list[Shape]:
 
 
 def _drawn(body: Body, t: float, x: Array, m: int) -> list[Shape]:
-    """Return the shapes of a body, which has to be one."""
+    """Return the shapes of a body; raise ValueError if it returns anything else."""
     shapes = body(t, *np.split(x, 2))
     if not isinstance(shapes, Iterable):
         raise ValueError(f"body returned {arguments.shown(shapes)}: expected a list of shapes")
@@ -187,7 +187,7 @@ def _drawn(body: Body, t: float, x: Array, m: int) -> list[Shape]:
 
 
 def _columns(run: Solution, coordinates: Sequence[int] | None) -> tuple[int, ...]:
-    """Return the coordinates that are places: as asked for, or x, y (z), or the first."""
+    """Return the indices of position coordinates: as given, or x, y (z), or the first two."""
     n, names = run.system.n, run.system.coordinates
     if coordinates is None:
         if "x" in names and "y" in names:
@@ -288,17 +288,17 @@ def _with_unit(run: Solution, name: str) -> str:
 
 
 def _lifted(points: Array) -> Array:
-    """Return points in space: those of the plane lie at z = 0."""
+    """Return points in space; points of the plane get z = 0."""
     return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
 
 
 def _scale(
     run: Solution, t: Array, x: Array, frames: list[list[Shape]], forces: Array, size: float
 ) -> float | None:
-    """Return a round number of units of force for one of length; None where all are roundoff.
+    """Return a round number of units of force for one of length; None if all forces are roundoff.
 
-    That is so where a force, over the size of the picture, would change the kinetic energy by
-    nothing that counts.
+    A force is roundoff if, over the size of the film, its work is negligible compared with the
+    kinetic energy.
     """
     largest = max(
         (

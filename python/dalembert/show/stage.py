@@ -1,4 +1,4 @@
-"""A film on the axes of Matplotlib: the ground, shapes, trails and what the arrows are."""
+"""A film on Matplotlib axes: the ground, shapes, trails, and the key of the arrows."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FILLS = {"plane": (_GREEN, 0.8), "body": (_BLUE, 1.4)}  # the colour, and the w
 
 
 def arrow(points: Array, size: float) -> Array:
-    """Return an arrow as one line: shaft, and head of this size, or less for a short arrow."""
+    """Return an arrow as one line: shaft, and a head of this size, smaller for a short arrow."""
     tail, tip = points
     along = tip - tail
     length = float(np.hypot(*along))
@@ -42,7 +42,7 @@ def arrow(points: Array, size: float) -> Array:
 
 
 def draw(ax: Axes, shapes: Sequence[Shape], size: float, alpha: float = 1.0) -> list[Any]:
-    """Draw shapes on axes, of each role in one piece; return what was put there."""
+    """Draw shapes on axes, one artist for each role; return the artists."""
     from matplotlib import collections, colors
 
     found: list[Any] = []
@@ -76,9 +76,9 @@ def draw_trails(ax: Axes, trails: Sequence[Array]) -> list[Any]:
 
 
 def stage(scene: Scene, ax: Axes | None, *, shown: bool = False) -> Axes:
-    """Return axes with limits and ground: those given, or some of a figure of their own.
+    """Return axes with limits and ground: the given ones, or those of a new figure.
 
-    It is ``shown`` by pyplot, and by notebooks, if its axes are what the user gets.
+    A new figure is registered with pyplot only if it is ``shown`` to the user.
     """
     limits = scene.limits
     span = limits[1] - limits[0]
@@ -134,7 +134,7 @@ def stage(scene: Scene, ax: Axes | None, *, shown: bool = False) -> Axes:
 
 
 def _key(scene: Scene, ax: Axes) -> None:
-    """Say below what the arrows are."""
+    """Write the meaning of the arrows below the axes."""
     roles = {shape.role for shapes in scene.frames for shape in shapes}
     words = words_of(scene)
     entries = [
@@ -155,7 +155,7 @@ def _key(scene: Scene, ax: Axes) -> None:
 
 
 def words_of(scene: Scene) -> dict[str, str]:
-    """What the legend says."""
+    """Return the texts of the legend."""
     force = f"reaction: length 1 is a force of {scene.scale or 0:g}"
     length = scene.unit(scene.run.system.coordinates[scene.columns[0]])
     squares = f"squares of {scene.grid:g}{length}"
@@ -163,7 +163,7 @@ def words_of(scene: Scene) -> dict[str, str]:
 
 
 def clock(scene: Scene) -> Callable[[float], str]:
-    """Return how a time is written: with digits to tell frames apart."""
+    """Return a function that formats a time with enough digits to distinguish frames."""
     gaps = np.abs(np.diff(scene.t))
     gap = float(gaps[gaps > 0].min()) if gaps.any() else 0.01
     digits = max(1, math.ceil(-math.log10(gap)))

@@ -1,4 +1,4 @@
-"""Studies as tables and words: plain, in colours by rich, and as HTML."""
+"""Studies as tables and sentences: plain, in colours by rich, and as HTML."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _points(fit: Fit) -> str:
 class Table:
     """A table, with a caption above and a note below it.
 
-    Its first columns are flush left, the style is a class of the stylesheet.
+    Its first columns are flush left; the style is a class of the stylesheet.
     """
 
     titles: list[str]
@@ -50,11 +50,11 @@ class Table:
     style: str = ""
 
     def html(self) -> web.HTML:
-        """Return it as HTML."""
+        """Return the table as HTML."""
         return web.render("table.html", table=self)
 
     def lines(self, width: int) -> Iterator[Line]:
-        """Yield it line by line, in parts that repeat the first column if it is too wide."""
+        """Yield the table line by line, in parts that repeat the first column if it is too wide."""
         columns = [*zip(self.titles, *self.rows)]
         widths = [max(map(len, column)) for column in columns]
         parts = [[0]]
@@ -109,13 +109,13 @@ def overview(studies: Studies) -> Table:
 
 
 def heading(study: Study) -> str:
-    """Return one line that says what was studied."""
+    """Return the heading of a study in one line."""
     start = f", initial={study.initial!r}" if study.initial else ""
     return f"{study.scheme.name} on {study.system.name}, t = {study.t0:g} to {study.t_end:g}{start}"
 
 
 def summary(study: Study) -> str:
-    """Return the verdict in words, then the points that the fits rest on; two lines."""
+    """Return the verdict in words, then the points used by the fits; two lines."""
     keys = {"q": "global_q", "v": "global_v", "lambda": "global_multipliers"}
     at_end = ", ".join(f"{name} {study.fits[key].order()}" for name, key in keys.items())
     return (
@@ -129,7 +129,7 @@ def summary(study: Study) -> str:
 
 
 def study_lines(study: Study, width: int) -> Iterator[Line]:
-    """Yield a study line by line; ValueError if ``width`` is no positive integer."""
+    """Yield a study line by line; raise ValueError unless ``width`` is a positive integer."""
     width = arguments.integer(width, "width", 1)
     table = of_study(study)
     yield table.caption, "bold"
@@ -160,7 +160,7 @@ def text(lines: Iterable[Line]) -> str:
 
 
 def rich(lines: Iterable[Line]) -> Iterator[Any]:
-    """Yield what rich prints for lines."""
+    """Yield objects that rich prints for the lines."""
     from rich.text import Text
 
     return (Text(text, style=style) for text, style in lines)
@@ -186,10 +186,10 @@ def show(item: Study | Studies, file: TextIO | None) -> None:
 def attach(
     kind: type, lines: Callable[[Any, int], Iterator[Line]], page: Callable[[Any], Table]
 ) -> None:
-    """Give the objects of a class their tables: as text, printed, and as HTML in a notebook."""
+    """Attach tables to the objects of a class: as text, printed, and as HTML in a notebook."""
 
     def table(self: Any, width: int = WIDTH) -> str:
-        """Return tables and verdict as plain text, ``width`` characters wide at most."""
+        """Return tables and verdict as plain text with at most ``width`` characters in a line."""
         return text(lines(self, width))
 
     def shown(self: Any, file: TextIO | None = None) -> None:

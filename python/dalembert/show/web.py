@@ -1,5 +1,6 @@
-"""HTML pages by the templates of the package: self-contained, no network, no date, and no script
-but that of films.
+"""HTML pages from the templates of the package.
+
+Pages are self-contained: no network, no date, and no script except that of films.
 """
 
 from __future__ import annotations
@@ -28,21 +29,21 @@ OF_THE_USER = "The system is one of the user's own: the program that made it bel
 
 
 def require() -> None:
-    """Raise an ImportError with the line to type if what pages need is not installed."""
+    """Raise ImportError, with the command to type, if a package for pages is not installed."""
     for package in ("matplotlib", "jinja2"):
         extras.require(package, "a page")
 
 
 def page(title: str, above: str, sections: Iterable[Section], **more: Any) -> str:
-    """Return a page; above its heading, which is the title by default, stands a line of prose."""
+    """Return a page; ``above`` is a line of prose above its heading, by default the title."""
     return str(render("page.html", title=title, above=above, sections=sections, **more))
 
 
 def render(template: str, **values: Any) -> HTML:
-    """Return a template with values put in.
+    """Return a template with values.
 
-    Of these ``coordinates`` are those of the formulas in prose, and ``links`` are the addresses of
-    names; one without an address is shown as it is.
+    The value ``coordinates`` has the coordinates in formulas of prose, ``links`` the addresses of
+    names.  A name without an address is shown unchanged.
     """
     return _mark(_templates().get_template(template).render(values))
 
@@ -65,7 +66,7 @@ def _mark(text: str) -> HTML:
 
 
 def _prose(context: Mapping[str, Any], words: str) -> HTML:
-    """Return text in which what stands in backticks is a link, or a formula."""
+    """Return text whose parts in backticks become links or formulas."""
     links = context.get("links", {})
     parts: list[Any] = words.split("`")
     for k, part in enumerate(parts):
@@ -77,7 +78,7 @@ def _prose(context: Mapping[str, Any], words: str) -> HTML:
 
 
 def run(system: System, scheme: Scheme | str, **options: Any) -> Solution:
-    """Return a run, or as much of it as there is."""
+    """Return a run, or the states before its failure."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DalembertWarning)  # the page says the same
         return integrate(system, scheme, throw=False, **options)
@@ -89,13 +90,13 @@ def sentence(words: str) -> str:
 
 
 def side_by_side(parts: Iterable[HTML]) -> HTML:
-    """Return parts beside each other where there is room, below each other where there is none."""
+    """Return parts beside each other if there is room, otherwise below each other."""
     whole = _mark("\n").join(_mark("<div>{}</div>").format(part) for part in parts)
     return _mark('<div class="panels">\n{}\n</div>').format(whole)
 
 
 def equation(mathml: str) -> HTML:
-    """Return what stands in an element ``math`` as a displayed equation."""
+    """Return the content of a ``math`` element as a displayed equation."""
     return _mark(f'<math display="inline"><mrow>{mathml}</mrow></math>')
 
 
@@ -110,7 +111,7 @@ _drawing = threading.RLock()
 
 @contextlib.contextmanager
 def default_style() -> Iterator[None]:
-    """Draw as Matplotlib does by default, whatever the user's style is; one thread at a time."""
+    """Draw in Matplotlib's default style, regardless of the user's; one thread at a time."""
     with _drawing, extras.require("matplotlib.style", "a picture").context("default"):
         yield
 
@@ -125,8 +126,8 @@ def figure(width: float, height: float, layout: str | None = "constrained") -> A
 def svg(figure: Any, name: str, label: str, caption: str = "") -> HTML:
     """Return a figure as inline SVG: ids that begin with the name, a fixed salt, no date.
 
-    The label is what a reader hears who does not see it.  What is black has the colour of the text,
-    and what is white that of the page, which may be dark; the blue is then lighter.
+    Screen readers read the label.  Black becomes the colour of the text, and white the colour of
+    the page, which may be dark; blue is then lighter.
     """
     import matplotlib
 
