@@ -224,7 +224,7 @@ def test_the_command_refuses_by_the_same_table(words, named, capsys):
 def test_the_page_has_the_table():
     always = set.intersection(*(set(kind.options) for kind in KINDS.values()))
     page = PAGE.read_text(encoding="utf-8").split("(options)=")[1]
-    words = {name.strip("`") for name in re.search(r"Always: (.*)\. Besides", page)[1].split(", ")}
+    words = {name.strip("`") for name in re.search(r"accepts (.*)\. In", page)[1].split(", ")}
     assert words == always
     rows = re.findall(r"^\| (.+?) \| (`.+`) \|$", page, re.MULTILINE)
     shown = {kind: {name.strip("`") for name in names.split(", ")} for kind, names in rows}
