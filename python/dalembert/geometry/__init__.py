@@ -1,4 +1,4 @@
-"""Mechanics on D, charts of D, and what is found when a system is examined at a state."""
+"""Mechanics on D, charts of D, and checks of a system at a state."""
 
 from .chart import Chart, cutoff
 from .examination import Check, Difference, examine

@@ -1,13 +1,17 @@
-"""Charts of D: its states by m dependent velocities, and the curves between two of them.
+"""Charts of D: coordinates with m dependent velocities, and curves between two states.
 
-Every method takes ``q`` and ``v`` of shape (n,) or (N, n), or ``xi`` of shape (2n-m,) or
-(N, 2n-m), in the user's units, and puts the N first in the shape of its result.  ``t`` is the time
-of all states, or has one number for each; only systems that depend on time use it.
+Every method takes ``q`` and ``v`` of shape (n,) or (N, n), or ``xi`` of shape (2n-m,) or (N, 2n-m),
+in the user's units.  N is the first axis of the result.  ``t`` is the time of all states, or an
+array with the time of each; only systems that depend on time use it.
 
-All of them raise ValueError if an argument has another shape or is not finite, DomainError if a
-function of the system is not, SingularError if the dependent velocities are not determined by the
-others (``.step`` is the row that failed), ConvergenceError if they were not found, which can
-happen to nonlinear constraints only, and whatever a function of the user raises.
+Exceptions of all methods:
+
+- ValueError if an argument has another shape or is not finite;
+- DomainError if a function of the system is not finite or not defined;
+- SingularError if the independent velocities do not determine the others (``.step`` is the row that
+  failed);
+- ConvergenceError if Newton's iteration for nonlinear constraints failed;
+- any exception raised by a function of the system.
 """
 
 from __future__ import annotations
@@ -31,42 +35,43 @@ _log = logging.getLogger(__name__)
 class Chart(core.Constant):
     """Coordinates xi = (q, v of the independent coordinates) of D.
 
-    With B the columns of mu(q) that belong to the dependent coordinates, and A = B^-1 times the
-    others, D is v_dependent = -A v_independent (the Ehresmann connection).  Affine constraints
-    have a further term; of nonlinear ones mu is d(phi)/dv, and v_dependent is found by Newton,
-    which starts at the one of the state where the chart was made.  For m = n no velocity is left:
-    xi is q, and its field is the prescribed velocity.
+    B denotes the columns of mu(q) for the dependent coordinates, and A is B^-1 times the others.
+    On D, v_dependent = -A v_independent (the Ehresmann connection).  Affine constraints add a term.
+    For nonlinear constraints mu is dphi/dv, and Newton's iteration computes v_dependent, starting
+    from the state at which the chart was created.  For m = n no velocity is independent: xi is q,
+    and its field is the prescribed velocity.
 
     D may depend on time; the dependent coordinates are the same at all times.
 
-    A chart does not change, and may be used by several threads.
+    A chart is immutable; several threads may use it.
 
     Parameters
     ----------
     system : System
     q, v : array_like, shape (n,), optional
-        The state where the choice is made, in the user's units.  Default: that of the system;
-        for v, where q is given, zero, which does for constraints that are not nonlinear.
+        The state for the choice of coordinates, in the user's units.  Default: the system's initial
+        data.  If q is given, the default of v is zero, which is sufficient unless the constraints
+        are nonlinear.
     dependent : str or iterable of str, optional
-        Names of the m dependent coordinates.  Default: chosen by pivoting, in a way that does not
-        depend on the units of the coordinates.
+        Names of the m dependent coordinates.  Default: chosen by pivoting, independently of the
+        units of the coordinates.
     t : float, optional
-        The time of the state where the choice is made.
+        The time for the choice of coordinates.
 
     Attributes
     ----------
     system : System
     dependent, independent : tuple of str
-        In the order of the system's coordinates; rows and columns of A and B follow it.
+        Names in the order of the system's coordinates, as the rows and columns of A and B.
     left_inverse : ndarray, shape (2n-m, 2n)
-        The derivative of `drop`; times `jacobian` it is the identity (Inverse).
+        The derivative of `drop`; its product with `jacobian` is the identity (Inverse).
 
     Raises
     ------
     ValueError, DomainError
-        As at the top of this module.
+        For invalid arguments, or a state outside the domain of a function.
     SingularError
-        If the dependent velocities are not determined by the others.
+        If the independent velocities do not determine the others.
 
     Examples
     --------
@@ -111,11 +116,11 @@ class Chart(core.Constant):
         return chart
 
     def _choose(self, chart: Any) -> None:
-        """Make the choice of this chart that of a ``dal_chart``."""
+        """Give a ``dal_chart`` the choice of this chart."""
         core.call(self.system.kind, lib.dal_chart_choose, chart, self._t, self._place, self._x)
 
     def _coordinates(self, xi: ArrayLike) -> tuple[Array, bool]:
-        """Return the rows xi, shape (N, 2n-m), always a copy, and whether it was a single one."""
+        """Return a copy of the rows xi, shape (N, 2n-m), and whether xi was a single one."""
         given = arguments.array(xi, "xi", (self._width,), (None, self._width))
         return np.atleast_2d(given).copy(), given.ndim == 1
 
@@ -127,7 +132,7 @@ class Chart(core.Constant):
         t: ArrayLike,
         *outputs: Any,
     ) -> Any:
-        """Return what a function writes for each state, see `Workspaces.rows`."""
+        """Return the outputs of a function for each state, see `Workspaces.rows`."""
         x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
         return self._charts.rows(function, single, mechanics.times(t, x, single), x, *outputs)
 
@@ -139,7 +144,7 @@ class Chart(core.Constant):
         *outputs: Any,
         inputs: Any = None,
     ) -> Any:
-        """Return what a function writes for each row of coordinates."""
+        """Return the outputs of a function for each row of coordinates."""
         rows, single = self._coordinates(xi)
         acting = mechanics.input_rows(self.system, inputs, len(rows))
         at = mechanics.times(t, rows, single)
@@ -165,7 +170,7 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -194,7 +199,7 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -206,10 +211,10 @@ class Chart(core.Constant):
         return self._of_states(lib.dal_chart_connection, q, v, t, ffi.NULL, (m, m))
 
     def condition(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Any:
-        """Return how much larger v can be than v_independent, in the units 1/sqrt(M_ii).
+        """Return the largest ratio of v to v_independent, in the units 1/sqrt(M_ii).
 
-        It is 1 at best, does not depend on the forms that describe D, and is infinite where the
-        dependent velocities are not determined.
+        The value is at least 1, and does not depend on the forms that describe D.  It is infinite
+        if the dependent velocities are not determined.
 
         Parameters
         ----------
@@ -226,7 +231,7 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError
-            As at the top of this module.
+            For invalid arguments, or a state outside the domain of a function.
 
         Examples
         --------
@@ -237,7 +242,7 @@ class Chart(core.Constant):
         return self._of_states(lib.dal_chart_condition, q, v, t, ())
 
     def renewed(self, q: ArrayLike, v: ArrayLike | None = None, t: float = 0.0) -> Chart:
-        """Return a chart that is well conditioned at (q, v): this one where it is.
+        """Return a chart that is well conditioned at (q, v): this one, if it is.
 
         A change of the dependent coordinates is logged (``logging``, level INFO).
 
@@ -252,13 +257,13 @@ class Chart(core.Constant):
         Returns
         -------
         Chart
-            This very chart if its condition is at most 10 sqrt(1 + m (n-m)), else a new one.  For
-            nonlinear constraints always a new one, whose Newton iteration starts at v.
+            This object if its condition is at most 10 sqrt(1 + m (n-m)), else a new chart.  For
+            nonlinear constraints always a new chart, whose Newton iteration starts at v.
 
         Raises
         ------
         ValueError, DomainError, SingularError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -297,7 +302,8 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError, ConvergenceError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, undetermined dependent velocities,
+            or a Newton iteration that does not converge.
 
         Examples
         --------
@@ -319,7 +325,7 @@ class Chart(core.Constant):
         t : float or array_like, shape (N,), optional
             Time of the states.
         inputs : array_like, shape (k,) or (N, k), or mapping, optional
-            Those that constraints depend on; default: zeros.
+            Inputs of the constraints, in order or by name; default 0.
 
         Returns
         -------
@@ -328,7 +334,8 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError, ConvergenceError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, undetermined dependent velocities,
+            or a Newton iteration that does not converge.
 
         Examples
         --------
@@ -353,7 +360,7 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError
-            As at the top of this module.
+            For invalid arguments.
 
         Examples
         --------
@@ -373,7 +380,7 @@ class Chart(core.Constant):
         t : float or array_like, shape (N,), optional
             Time of the states.
         inputs : array_like, shape (k,) or (N, k), or mapping, optional
-            Those that constraints depend on; default: zeros.
+            Inputs of the constraints, in order or by name; default 0.
 
         Returns
         -------
@@ -382,7 +389,8 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError, ConvergenceError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, undetermined dependent velocities,
+            or a Newton iteration that does not converge.
 
         Examples
         --------
@@ -403,9 +411,9 @@ class Chart(core.Constant):
     # ---- dynamics ------------------------------------------------------------------------
 
     def field(self, xi: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None) -> Array:
-        """Return dxi/dt of the ODE on D (ODExi, ODExiConnec), that of `System.field` at `lift`.
+        """Return dxi/dt of the ODE on D (ODExi, ODExiConnec), equivalent to `System.field`.
 
-        Differences of it are the linearization of a controlled motion.
+        Differences of the field linearize a controlled motion.
 
         Parameters
         ----------
@@ -422,7 +430,8 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError, ConvergenceError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, undetermined dependent velocities,
+            or a Newton iteration that does not converge.
 
         Examples
         --------
@@ -459,7 +468,7 @@ class Chart(core.Constant):
         ----------
         q, v : array_like, shape (n,) or (N, n)
         multipliers : array_like, shape (m,) or (N, m), optional
-            lambda.  Default: that of the ODE, `System.multipliers` with these t and inputs.
+            lambda.  Default: `System.multipliers` with these t and inputs.
         t : float or array_like, shape (N,), optional
             Time of the states.
         inputs : array_like, shape (k,) or (N, k), or mapping, optional
@@ -468,12 +477,12 @@ class Chart(core.Constant):
         Returns
         -------
         ndarray, shape (m,) or (N, m)
-            Forces.
+            lambda_E, forces.
 
         Raises
         ------
         ValueError, DomainError, SingularError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -489,7 +498,9 @@ class Chart(core.Constant):
     def multipliers_back(
         self, q: ArrayLike, v: ArrayLike, multipliers: ArrayLike, t: ArrayLike = 0.0
     ) -> Array:
-        """Return lambda = B^-T lambda_E, the multipliers of mu from those of the forms [A, I].
+        """Return lambda = B^-T lambda_E, the multipliers of mu.
+
+        This is the inverse of `multipliers`.
 
         Parameters
         ----------
@@ -506,7 +517,7 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -541,19 +552,19 @@ class Chart(core.Constant):
     ) -> Pair:
         """Return xi after one step of the beta-scheme with moved nodes, and its multiplier.
 
-        The multiplier is eliminated from the equations, as in the decompositions that follow
-        firstorder and secondorder; the state is that of `integrate` to roundoff.
+        The multiplier is eliminated from the equations, as in the decompositions after (firstorder)
+        and (secondorder).  The state agrees with `integrate` to roundoff.
 
         Parameters
         ----------
         xi : array_like, shape (2n-m,) or (N, 2n-m)
         h : float
         beta : float, optional
-            In [0, 1]; 0.5 is midpoint.
+            Parameter of the scheme, in [0, 1]; 0.5 (default) is midpoint.
         t : float or array_like, shape (N,), optional
             Time at the beginning of the step.
         inputs : array_like, shape (k,) or (N, k), or mapping, optional
-            Of the force, constant over the step, or by their names; default 0.
+            Inputs, constant over the step, in order or by name; default 0.
 
         Returns
         -------
@@ -564,7 +575,8 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError, ConvergenceError
-            As at the top of this module; ConvergenceError for any constraints.
+            For invalid arguments, a state outside the domain, a singular matrix, or a Newton
+            iteration that does not converge.
 
         Examples
         --------
@@ -592,8 +604,8 @@ class Chart(core.Constant):
     ) -> Pair:
         """Return psi(chi_0(tau) xi1 + chi_1(tau) xi2), a curve in D (yD, InterpolationD).
 
-        It goes from (q1, v1) for tau <= 0 to (q2, v2) for tau >= 1, with all derivatives zero at
-        both ends.
+        The curve leads from (q1, v1) for tau <= 0 to (q2, v2) for tau >= 1; all its derivatives are
+        zero at both ends.
 
         Parameters
         ----------
@@ -601,7 +613,7 @@ class Chart(core.Constant):
             Two states of D.
         tau : array_like, shape () or (N,)
         t : float, optional
-            The time at which D is taken.
+            The time at which D is evaluated.
 
         Returns
         -------
@@ -610,7 +622,8 @@ class Chart(core.Constant):
         Raises
         ------
         ValueError, DomainError, SingularError, ConvergenceError
-            As at the top of this module.
+            For invalid arguments, a state outside the domain, undetermined dependent velocities,
+            or a Newton iteration that does not converge.
 
         Examples
         --------
@@ -656,7 +669,7 @@ def cutoff(tau: ArrayLike) -> tuple[Any, Any, Any]:
     Returns
     -------
     chi_0, chi_1, slope : float or ndarray, shape of tau
-        To full relative accuracy, however small.
+        Accurate to roundoff relative to each value, however small.
 
     Examples
     --------
@@ -673,7 +686,7 @@ def cutoff(tau: ArrayLike) -> tuple[Any, Any, Any]:
 
 
 def _indices(system: Handle, dependent: str | Iterable[str]) -> list[int]:
-    """Return the places of m names of coordinates."""
+    """Return the indices of m names of coordinates."""
     names = [dependent] if isinstance(dependent, str) else dependent
     names = arguments.names(names, "dependent", f"m = {system.m} names of coordinates")
     places = [mechanics.place(system, name, "dependent") for name in names]

@@ -1,4 +1,4 @@
-"""What is found when a system is examined at a state."""
+"""Results of the check of a system at a state."""
 
 from __future__ import annotations
 
@@ -33,14 +33,13 @@ class Difference:
     given, expected : float
         The two numbers at that entry.
     row, column : int
-        Which entry it is.
+        Indices of that entry.
     checked : bool
-        False if the derivative was not provided, or no entry could be judged, so that there is
-        nothing to compare.
+        False if the derivative was not provided, or no entry could be judged.
     wrong : bool
-        True if the two numbers are not the same.
+        True if the two numbers disagree.
     unjudged : int
-        How many entries stand where differences do not converge, and were left out.
+        Number of entries omitted because their differences do not converge.
     """
 
     error: float
@@ -71,72 +70,70 @@ class Difference:
 
 @dataclass(frozen=True, repr=False)
 class Check:
-    """What `System.check` found at one state; true if all is as it should be.
+    """The results of `System.check` at one state; true if all checks pass.
 
     Attributes
     ----------
     passed : bool
-        True if everything below is as it should be.
+        True if all checks pass.
     kind : {"linear", "affine", "nonlinear"}
-        Of the constraints.
+        How the constraints depend on v.
     general, forced, timed : bool
-        True if the system has a Lagrangian of its own; if it has a force; if it depends on time.
+        Whether the system has a general Lagrangian, has a force, depends on time.
     V_q, V_qq : Difference
-        gradient and hessian against differences.
+        gradient and hessian.
     L_q, L_v, L_qq, L_vq, L_vv, L_vt : Difference
         The derivatives of a general Lagrangian, lagrangian_q and so on.
     f_q, f_v : Difference
         force_q and force_v.
     phi_v, phi_q, phi_t : Difference
-        The derivatives of the constraints: phi_v is forms, against what it is the derivative of
-        where that is given, or constraint_v; phi_q is d(mu v)/dq, or constraint_q; phi_t is
-        constraint_t.
+        The derivatives of the constraints: phi_v is forms or constraint_v; phi_q is d(mu v)/dq or
+        constraint_q; phi_t is constraint_t.
     linearity : float
-        Worst change of mu with v; it must not depend on v, unless the constraints are nonlinear.
+        Worst change of mu with v; 0 unless the constraints are nonlinear.
     rank : int
-        Of mu; should be m.
+        Rank of mu; should be m.
     condition : float
         Condition number of mu in the mass metric.
     mass_min, kernel_min : float
-        Smallest eigenvalues of the mass matrix M at the state, on R^n and on ker mu; of the latter
-        there is none for m = n, and ``kernel_min`` is infinite.
+        Smallest eigenvalues of the mass matrix M at the state, on R^n and on ker mu.  For m = n
+        ``kernel_min`` is infinite.
     residual : float
-        As for `System.relative_residual`: 0 if the velocity lies in D.
+        `System.relative_residual` of the velocity: 0 in D.
     curvature : float
         Largest curvature of D over an orthonormal basis; 0 if D is integrable here.  NaN unless the
         constraints are linear.
     integrable : bool
-        True if D is integrable at general points, a holonomic constraint in disguise: what its
-        growth vector says; if that is not known, whether the curvature vanishes here and nearby.
-        Where mu is given in pieces (Max, Abs, Piecewise, ...) that is said of the surroundings of
-        the state, unless ``exact``.
+        True if D is integrable at general points, so that the constraints are holonomic.  The
+        growth vector decides; if it is unknown, the curvature at the state and nearby decides.  If
+        mu is piecewise (Max, Abs, Piecewise, ...), the result holds for a neighbourhood of the
+        state only, unless ``exact``.
     text : str
-        The first thing found wrong, or a summary.
+        The first failure, or a summary.
     text_on_D : str
-        The end of a summary, which says whether D is integrable.
+        The end of the summary: whether D is integrable.
     growth : tuple of int or None
-        Growth vector of D: dimensions of D, D + [D, D], ...  At q, if q was given; else at a
-        general point near the initial data.
-        Its end is n if D is bracket generating; n - k, twice, if there are k holonomic constraints
-        in disguise; for anything else see ``growth_note``.  None if it is not known, or the
-        constraints are not linear.
+        Growth vector of D: the dimensions of D, D + [D, D], ... The point is q if given, else a
+        general point near the initial data.  It ends with n if D is bracket generating, and with n
+        - k twice if k constraints are holonomic.  For other ends see ``growth_note``.  None if it
+        is unknown, or the constraints are not linear.
     general_growth : tuple of int or None
-        At a general point, the largest of some that are looked at, most of them near the state;
-        where it differs, q is a singular one, or lies where mu is simpler than elsewhere.
+        The growth vector at a general point: the largest of several, most of them near the state.
+        If ``growth`` differs, q is a singular point, or mu is simpler there than elsewhere.
     growth_note : str
-        Why ``growth`` ends before that, or of which points it is known; or "".
+        Why ``growth`` has another end, or for which points it is known; or "".
     holonomic : tuple of str
-        Of a system made by `System.from_sympy`: its constraints that are holonomic in disguise by
-        themselves, and how many are if several are taken together.
+        For systems from `System.from_sympy`: the constraints that are holonomic by themselves, and
+        the number that are if combined.
     exact : bool
-        True if it is proved that D is integrable, or bracket generating, which takes expressions:
-        those of `System.from_sympy`, or formulas that say what the system is.  False if it was seen
-        at random points.
+        True if D is proved to be integrable, or bracket generating.  A proof needs expressions,
+        from `System.from_sympy` or from complete formulas.  False if the result is based on random
+        points.
     digits : int
-        With which it was seen there: 30 with expressions, 16 with functions.
+        Number of digits used at random points: 30 with expressions, 16 with functions.
     still : tuple of str
-        Of affine constraints made by `System.from_sympy`: their terms without a velocity, among
-        which is what was to have one.
+        For affine constraints from `System.from_sympy`: their terms without a velocity, in case one
+        is missing by mistake.
     """
 
     passed: bool
@@ -179,7 +176,7 @@ class Check:
         return self.passed
 
     def with_distribution(self, found: Any) -> Check:
-        """Return the check with what else was found of D; on integrability there is one answer."""
+        """Return the check with further results about D, consistent about integrability."""
         if found.integrable and found.digits == 16 and not self.integrable:
             found = dataclasses.replace(found, integrable=False)  # curved at one of the points
         known = dataclasses.asdict(found)
@@ -190,7 +187,7 @@ class Check:
         return dataclasses.replace(self, **(known | {"text": text, "text_on_D": said}))
 
     def _lines(self) -> list[tuple[str, Any]]:
-        """Return what was found, each with its name; first the verdict."""
+        """Return the results with their names, the verdict first."""
         curvature = f"{self.curvature:.3g}" + (", integrable" * self.integrable)
         if self.passed and math.isnan(self.curvature):
             curvature = "- (D changes with inputs)"
@@ -235,7 +232,7 @@ class Check:
 
 
 def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None, t: float = 0.0) -> Check:
-    """Return what the core finds at a state; see `System.check`."""
+    """Return the results of C at a state; see `System.check`."""
     x = mechanics.initial_state(system, q, v, "q", "v")
     report, error = ffi.new("dal_check *"), ffi.new("dal_error *")
     status = core.attempt(lib.dal_system_check, system._handle, t, x, report, error)

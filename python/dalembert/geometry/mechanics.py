@@ -1,13 +1,16 @@
 """Mechanics on D, at one state or at N stacked ones.
 
-Every function takes ``q`` and ``v`` of shape (n,) or (N, n), in the user's units, and puts the N
-first in the shape of its result.  They are also methods of `dalembert.System`.  The sign and the
-scale of the multiplier: d/dt L_v - L_q = f + mu^T lambda, so lambda is a force.  Here M is L_vv,
-the mass matrix; D is {phi(q, v) = 0}; mu is phi_v, and phi is mu v for linear constraints.
+Every function takes ``q`` and ``v`` of shape (n,) or (N, n), in the user's units.  N is the first
+axis of the result.  The functions are also methods of `dalembert.System`.  The multiplier lambda is
+a force: d/dt L_v - L_q = f + mu^T lambda.  M denotes the mass matrix L_vv, D the set {phi(q, v) =
+0}, and mu the derivative phi_v.  For linear constraints phi is mu v.
 
-All of them raise ValueError if an argument has another shape or is not finite, DomainError if a
-function of the system is not, SingularError if mu(q) loses rank (``.step`` is the row that
-failed), and whatever a function of the user raises.
+Exceptions of all functions:
+
+- ValueError if an argument has another shape or is not finite;
+- DomainError if a function of the system is not finite or not defined;
+- SingularError if mu(q) loses rank (``.step`` is the row that failed);
+- any exception raised by a function of the system.
 """
 
 from __future__ import annotations
@@ -23,10 +26,10 @@ from ..core import Array, Handle, Pair, arguments, ffi, lib
 
 
 def most_in_a_call(system: Handle) -> int:
-    """Return how many states or steps C may work on in one call, so that Ctrl-C is seen soon.
+    """Return the largest number of states or steps in a call of C, so Ctrl-C is noticed soon.
 
-    It takes a tenth of a second at most, as a state takes some (n + m)^3 operations.  It depends on
-    the sizes only, not on the machine, and so do the bits of what is summed up in a call.
+    A call takes at most a tenth of a second, if a state takes about (n + m)^3 operations.  The
+    number depends on the sizes only, not on the machine, and so do the bits of sums in a call.
     """
     return max(1, min(2**14, 2**22 // (system.n + system.m) ** 3))
 
@@ -37,9 +40,9 @@ def most_in_a_call(system: Handle) -> int:
 def states(
     system: Handle, q: ArrayLike, v: ArrayLike, names: tuple[str, str] = ("q", "v")
 ) -> tuple[Array, bool]:
-    """Return the rows (q, v), shape (N, 2n), always a copy, and whether it was a single state.
+    """Return a copy of the rows (q, v), shape (N, 2n), and whether it was a single state.
 
-    ``names`` are those of the two arguments.
+    ``names`` are the names of the two arguments in messages.
     """
     n = system.n
     q = arguments.array(q, names[0], (n,), (None, n))
@@ -50,23 +53,23 @@ def states(
 
 
 def or_zero(v: ArrayLike | None, q: ArrayLike) -> ArrayLike:
-    """Return velocities, zero where none are given."""
+    """Return the velocities, or zeros if they are None."""
     return np.zeros(np.shape(q)) if v is None else v
 
 
 def vectors(system: Handle, **given: ArrayLike) -> list[Array]:
-    """Return vectors of n numbers, which are given by their names."""
+    """Return the given vectors of n numbers; their names serve for messages."""
     return [arguments.array(x, name, (system.n,)) for name, x in given.items()]
 
 
 def beside(x: Array, single: bool, value: ArrayLike, name: str, width: int) -> Array:
-    """Return what is given together with states: so many numbers for each."""
+    """Return an argument that accompanies states: ``width`` numbers for each."""
     shape = (width,) if single else (len(x), width)
     return np.atleast_2d(arguments.array(value, name, shape))
 
 
 def halves(x: Array) -> Pair:
-    """Return q and v of states, each an array of its own."""
+    """Return q and v of states, as separate arrays."""
     q, v = np.split(x, 2, axis=-1)
     return q.copy(), v.copy()
 
@@ -74,9 +77,10 @@ def halves(x: Array) -> Pair:
 def initial(
     system: Handle, q0: ArrayLike | None, v0: ArrayLike | None, *names: str
 ) -> Pair:
-    """Return initial data, those of the system where none are given; ValueError for half of them.
+    """Return the initial data, by default those of the system.
 
-    ``names`` are those of the two arguments, by default q0 and v0.
+    Raises ValueError if only one of q0 and v0 is given.  ``names`` are the names of the two
+    arguments in messages, by default q0 and v0.
     """
     found = []
     q_name, v_name = names or ("q0", "v0")
@@ -115,8 +119,8 @@ def trajectory(
 ) -> Array:
     """Evaluate one output of ``dal_trajectory`` on the rows of ``x``, shape (N, 2n).
 
-    ``inputs`` has a row for each, where the system takes any; None: zeros.  ``times`` are those of
-    the rows where they are not evenly spaced.
+    ``inputs`` has a row for each state of a system with inputs; None: zeros.  ``times`` are the
+    times of the rows if they are not evenly spaced.
     """
     inputs = np.zeros((len(x), len(system.inputs))) if inputs is None else inputs
     outputs = {"energy": (), "multipliers": (system.m,), "residual": (system.m,), "relative": ()}
@@ -143,7 +147,7 @@ def trajectory(
 
 
 def times(t: ArrayLike, x: Array, single: bool) -> float | list[float]:
-    """Return the time of all states, or a list of the times of each."""
+    """Return the time of all states, or a list with the time of each."""
     found = arguments.array(t, "t", *[(), (len(x),)][: 2 - single])
     return found.tolist()  # type: ignore[no-any-return]
 
@@ -158,7 +162,7 @@ def _quantity(
     inputs: Any = None,
     shift: float = 0.0,
 ) -> Any:
-    """Evaluate one output of ``dal_trajectory`` on states as they are given."""
+    """Evaluate one output of ``dal_trajectory`` at states."""
     x, single = states(system, q, v)
     rows = arguments.inputs(inputs, system.inputs, len(x))
     at = times(t, x, single)
@@ -169,7 +173,7 @@ def _quantity(
 
 
 def input_rows(system: Handle, given: Any, count: int) -> Array | None:
-    """Return the inputs at so many states; None for a system that takes none."""
+    """Return the inputs at ``count`` states; None if the system has no inputs."""
     rows = arguments.inputs(given, system.inputs, count)
     return rows if system.inputs else None
 
@@ -183,7 +187,7 @@ def _rows(
     t: ArrayLike = 0.0,
     inputs: Any = None,
 ) -> Any:
-    """Return what a function writes for each state, arrays of these shapes."""
+    """Return the outputs of a function for each state, arrays of these shapes."""
     x, single = states(system, q, v)
     rows = input_rows(system, inputs, len(x))
     given = times(t, x, single), x, *outputs
@@ -194,10 +198,10 @@ def _rows(
 
 
 def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> Any:
-    """Return E = L_v v - L, which is v^T M v / 2 + V(q) for a constant mass.
+    """Return the energy E = L_v v - L at each state.
 
-    It is a first integral on D, unless there is a force, the constraint forces work, see `power`,
-    or L depends on time.
+    For constant mass it is v^T M v / 2 + V(q).  It is conserved on D, unless there is a force, the
+    constraint forces do work (see `power`), or L depends on time.
 
     Parameters
     ----------
@@ -213,7 +217,7 @@ def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> An
     Raises
     ------
     ValueError, DomainError
-        As at the top of this module.
+        For invalid arguments, or a state outside the domain of a function.
 
     Examples
     --------
@@ -232,9 +236,10 @@ def residual(
     t: ArrayLike = 0.0,
     inputs: Any = None,
 ) -> Array:
-    """Return phi(q - shift v, v): zero on D (shift 0) or on D_eps (shift (1 - beta) h).
+    """Return the residual phi(q - shift v, v) of the constraints.
 
-    For linear constraints it is mu(q - shift v) v.
+    It is zero on D for shift 0, and on D_eps for shift (1 - beta) h.  For linear constraints it is
+    mu(q - shift v) v.
 
     Parameters
     ----------
@@ -245,7 +250,7 @@ def residual(
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Those that constraints depend on; default: zeros.
+        Inputs of the constraints, in order or by name; default 0.
 
     Returns
     -------
@@ -254,7 +259,7 @@ def residual(
     Raises
     ------
     ValueError, DomainError
-        As at the top of this module.
+        For invalid arguments, or a state outside the domain of a function.
 
     Examples
     --------
@@ -273,15 +278,18 @@ def relative_residual(
     t: ArrayLike = 0.0,
     inputs: Any = None,
 ) -> Any:
-    """Return the largest ``|mu^a v| / (|mu^a| |v|)`` at (q - shift v, v).
+    """Return the relative residual, the largest ``|mu^a v| / (|mu^a| |v|)`` at (q - shift v, v).
 
-    Here ``|mu^a| = sum_i |mu^a_i| d_i`` and ``|v| = max_j |v_j| / d_j`` with ``d_i =
-    sqrt((M^-1)_ii)``, which is the largest ``|v_i|`` of a velocity with ``v^T M v = 1``.  Affine
-    and nonlinear constraints have ``|phi^a|`` above and, added below, ``|phi^a - mu^a v| + sum_i
-    |dphi^a/dq_i q_i| + |dphi^a/dt t|``, as q and t are rounded.  With a shift, linear ones have the
-    second of these, too, and ``|q_i - shift v_i| + |shift v_i|`` is in place of ``|q_i|``.  The
-    residual does not change when forms or coordinates are rescaled; on D it is at the level of
-    roundoff, at most ``4 n 2^-53`` at what a run stores.
+    Here ``|mu^a| = sum_i |mu^a_i| d_i`` and ``|v| = max_j |v_j| / d_j``.  The scale
+    ``d_i = sqrt((M^-1)_ii)`` is the largest ``|v_i|`` of a velocity with ``v^T M v = 1``.
+
+    For affine and nonlinear constraints the numerator is ``|phi^a|``.  The roundings of q and t add
+    ``|phi^a - mu^a v| + sum_i |dphi^a/dq_i q_i| + |dphi^a/dt t|`` to the denominator.  With a
+    shift, linear constraints have the second of these terms too, and
+    ``|q_i - shift v_i| + |shift v_i|`` replaces ``|q_i|``.
+
+    The residual does not change if forms or coordinates are rescaled.  In states stored by a run it
+    is at most ``4 n 2^-53``.
 
     Parameters
     ----------
@@ -292,7 +300,7 @@ def relative_residual(
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Those that constraints depend on; default: zeros.
+        Inputs of the constraints, in order or by name; default 0.
 
     Returns
     -------
@@ -301,7 +309,7 @@ def relative_residual(
     Raises
     ------
     ValueError, DomainError
-        As at the top of this module.
+        For invalid arguments, or a state outside the domain of a function.
 
     Examples
     --------
@@ -315,10 +323,10 @@ def relative_residual(
 def multipliers(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
-    """Return lambda = -C^-1 (phi_q v + mu f_v) (lambdax), with C = mu M^-1 mu^T.
+    """Return the multipliers lambda = -C^-1 (phi_q v + mu f_v) (lambdax), C = mu M^-1 mu^T.
 
-    Here f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for a constant mass and no force, and
-    phi_q v is d(mu v)/dq v for linear constraints.  It is defined off D as well.
+    Here f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for constant mass without force.  For
+    linear constraints phi_q v is d(mu v)/dq v.  The formula applies off D as well.
 
     Parameters
     ----------
@@ -332,12 +340,12 @@ def multipliers(
     Returns
     -------
     ndarray, shape (m,) or (N, m)
-        Forces.
+        lambda, forces.
 
     Raises
     ------
     ValueError, DomainError, SingularError
-        As at the top of this module.
+        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -351,7 +359,7 @@ def multipliers(
 def metric(
     system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
 ) -> Array:
-    """Return M = L_vv, the mass matrix at a state.
+    """Return the mass matrix M = L_vv at each state.
 
     Parameters
     ----------
@@ -369,9 +377,9 @@ def metric(
     Raises
     ------
     ValueError, DomainError
-        As at the top of this module.
+        For invalid arguments, or a state outside the domain of a function.
     SingularError
-        If it is not positive definite.
+        If M is not positive definite.
 
     Examples
     --------
@@ -393,9 +401,9 @@ def metric(
 def power(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> tuple[Any, Any]:
-    """Return the powers lambda . (phi_v v) of the constraint forces and f . v of the force.
+    """Return the power lambda . (phi_v v) of the constraint forces, and f . v of the force.
 
-    Their sum is dE/dt on D.  That of the constraint forces is 0 on D for linear constraints.
+    On D their sum is dE/dt.  For linear constraints the first is 0 on D.
 
     Parameters
     ----------
@@ -413,7 +421,7 @@ def power(
     Raises
     ------
     ValueError, DomainError, SingularError
-        As at the top of this module.
+        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -428,7 +436,7 @@ def power(
 def gram(
     system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
 ) -> Array:
-    """Return C = mu M^-1 mu^T (lemma lemmaC), symmetric and positive definite.
+    """Return the symmetric, positive definite matrix C = mu M^-1 mu^T (lemma lemmaC).
 
     Parameters
     ----------
@@ -446,7 +454,7 @@ def gram(
     Raises
     ------
     ValueError, DomainError, SingularError
-        As at the top of this module.
+        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -460,7 +468,7 @@ def gram(
 def acceleration(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
-    """Return vdot = f_v + M^-1 mu^T lambda, with f_v as in `multipliers`.
+    """Return the acceleration vdot = f_v + M^-1 mu^T lambda, with f_v as in `multipliers`.
 
     Parameters
     ----------
@@ -478,7 +486,7 @@ def acceleration(
     Raises
     ------
     ValueError, DomainError, SingularError
-        As at the top of this module.
+        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -492,7 +500,7 @@ def acceleration(
 def field(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
-    """Return (v, vdot), the vector field of the ODE on D.
+    """Return the vector field (v, vdot) of the ODE on D.
 
     Parameters
     ----------
@@ -510,7 +518,7 @@ def field(
     Raises
     ------
     ValueError, DomainError, SingularError
-        As at the top of this module.
+        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -532,19 +540,19 @@ def perturbed(
 ) -> Pair:
     """Return the field and the multipliers of the perturbed equations of motion (PerturbedDAE).
 
-    They are qdot = v + weight ghat_q, vdot = f_v + M^-1 mu^T lambda + weight ghat_v with
-    phi(q, v) = 0; on D their field is tangent to D for every ghat (ODEPert).  The multipliers are
-    those of `multipliers` minus weight C^-1 (phi_q ghat_q + mu ghat_v) (hatLambday): the same, if
-    ghat is tangent to D itself.
+    The equations are qdot = v + weight ghat_q, vdot = f_v + M^-1 mu^T lambda + weight ghat_v with
+    phi(q, v) = 0. On D their field is tangent to D for every ghat (ODEPert).  The multipliers are
+    `multipliers` minus weight C^-1 (phi_q ghat_q + mu ghat_v) (hatLambday); the difference is 0 if
+    ghat is tangent to D.
 
     Parameters
     ----------
     system : System
     q, v : array_like, shape (n,) or (N, n)
     ghat : array_like, shape (2n,) or (N, 2n)
-        (ghat_q, ghat_v).
+        The perturbation (ghat_q, ghat_v).
     weight : float, optional
-        h^p, say.
+        Factor of ghat, such as h^p; default 1.
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
@@ -559,11 +567,11 @@ def perturbed(
     Raises
     ------
     ValueError, DomainError, SingularError
-        As at the top of this module.
+        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
-    A push in direction z, of which the constraint v_z = y v_x lets a part go to x:
+    A push in direction z; through the constraint v_z = y v_x a part of it acts on x:
 
     >>> import dalembert as dal
     >>> particle = dal.systems.particle()
@@ -589,8 +597,8 @@ def project(
 ) -> Array:
     """Return the velocity projected to D (shift 0) or to D_eps (shift (1 - beta) h).
 
-    For shift 0, and constraints that are not nonlinear, it is v - M^-1 mu^T C^-1 phi, the nearest
-    one in the mass metric.
+    For shift 0 and linear or affine constraints it is v - M^-1 mu^T C^-1 phi, the nearest velocity
+    in D in the mass metric.
 
     Parameters
     ----------
@@ -601,7 +609,7 @@ def project(
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Those that constraints depend on; default: zeros.
+        Inputs of the constraints, in order or by name; default 0.
 
     Returns
     -------
@@ -610,9 +618,9 @@ def project(
     Raises
     ------
     ValueError, DomainError, SingularError
-        As at the top of this module.
+        For invalid arguments, a state outside the domain, or constraints that lose rank.
     ConvergenceError
-        For shift != 0 or nonlinear constraints, where the equation is not linear in v.
+        If Newton's iteration does not converge, for shift != 0 or nonlinear constraints.
 
     Examples
     --------
@@ -633,7 +641,7 @@ def projection(
     t: float | list[float] = 0.0,
     inputs: Array | None = None,
 ) -> Array:
-    """Project the rows of ``x`` in place; return how far, in the mass metric, shape (N,)."""
+    """Project the rows of ``x`` in place; return the distances in the mass metric, shape (N,)."""
     return system._mechanics.rows(lib.dal_project, False, t, shift, x, (), inputs=inputs)
 
 
@@ -645,21 +653,20 @@ def consistent(
     t: ArrayLike = 0.0,
     inputs: Any = None,
 ) -> Array:
-    """Return the velocity in D nearest to v0 in the mass metric, with some components kept.
+    """Return the velocity in D nearest to v0 in the mass metric, with some components fixed.
 
-    For nonlinear constraints it is one in D, found by Newton's iteration from v0.
+    For nonlinear constraints Newton's iteration from v0 computes a velocity in D.
 
     Parameters
     ----------
     system : System
     q0, v0 : array_like, shape (n,) or (N, n)
     keep : str, int, iterable of str, of int, or of bool, optional
-        Coordinates whose velocities stay as they are, bit by bit: their names, their places from 0,
-        or n truth values.
+        Coordinates whose velocities do not change: names, indices, or n truth values.
     t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Those that constraints depend on; default: zeros.
+        Inputs of the constraints, in order or by name; default 0.
 
     Returns
     -------
@@ -668,11 +675,11 @@ def consistent(
     Raises
     ------
     ValueError, DomainError
-        As at the top of this module.
+        For invalid arguments, or a state outside the domain of a function.
     SingularError
-        If the kept components leave too little freedom, even where v0 is in D as it is.
+        If the fixed components leave too little freedom, even if v0 is in D.
     ConvergenceError
-        For nonlinear constraints, where the equation is not linear in v.
+        If Newton's iteration does not converge, for nonlinear constraints.
 
     Examples
     --------
@@ -689,7 +696,7 @@ def consistent(
 
 
 def _mask(system: Handle, keep: Any) -> list[int]:
-    """Return n zeros and ones for names or places of coordinates, or for n truth values."""
+    """Return n zeros and ones for names or indices of coordinates, or for n truth values."""
     n = system.n
     try:
         given = [keep] if isinstance(keep, str | bytes) else list(keep)
@@ -718,7 +725,7 @@ def _mask(system: Handle, keep: Any) -> list[int]:
 
 
 def place(system: Handle, name: str, argument: str) -> int:
-    """Return which coordinate has a name; ValueError, about an argument, if none has."""
+    """Return the index of a coordinate; raise ValueError about an argument if it is unknown."""
     names = system.coordinates
     if name not in names:
         raise ValueError(
