@@ -61,11 +61,9 @@ RULES = [
     ),
     Rule(
         '"what" in place of a noun',
-        lambda s: (
-            not s.endswith("?") and re.search(r"\bwhat(?:ever)?\b(?! to\b| =)", s, re.IGNORECASE)
-        ),
+        lambda s: re.search(r"\bwhat(?:ever)?\b(?! to\b| =|.*\?)", s, re.IGNORECASE),
         "Return what the step has changed.",
-        "The page says what to type instead.",
+        "The page of What is D? says what to type instead.",
     ),
     Rule(
         f"more than {MOST_WORDS} words",

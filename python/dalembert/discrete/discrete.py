@@ -1,8 +1,8 @@
 """Discrete mechanics on pairs of nodes: difference maps, L_d and D_d, the node map.
 
-A finite difference map rho(q0, q1) = (g, f) makes a position and a velocity of two nodes one step h
-apart.  It turns L into the discrete Lagrangian L_d = h L o rho and D into the discrete constraint
-D_d = {phi_d = phi o rho = 0}, and the discrete Lagrange-d'Alembert equations
+A finite difference map rho(q0, q1) = (g, f) computes a position and a velocity from two nodes one
+step h apart.  It defines the discrete Lagrangian L_d = h L o rho and the discrete constraint D_d =
+{phi_d = phi o rho = 0}.  The discrete Lagrange-d'Alembert equations
 
     D_2 L_d(q_{k-1}, q_k) + D_1 L_d(q_k, q_{k+1}) + h mu(q_k)^T lambda_{k+1} = 0,
     phi_d(q_k, q_{k+1}) = 0
@@ -33,19 +33,19 @@ class DifferenceMap:
     Parameters
     ----------
     beta : float, optional
-        In [0, 1]; g = (1 - beta) q0 + beta q1 and f = (q1 - q0)/h (robeta).  For a map of your
-        own: where between the nodes g lies, which only forces that depend on time have to know.
+        Parameter in [0, 1] of g = (1 - beta) q0 + beta q1 and f = (q1 - q0)/h (robeta).  For your
+        own map, beta is the position of g between the nodes, which only affects functions of time.
     map : callable, optional
         ``map(h, q0, q1) -> (g, f)``, each of shape (n,), with g(q, q) = q, f(q, q) = 0 and
         df/dq1 = 1/h on the diagonal.
     derivatives : callable, optional
         ``derivatives(h, q0, q1) -> (dg/dq0, dg/dq1, df/dq0, df/dq1)``, each of shape (n, n).
-        None: by central differences, which cost about 1e-12 of the derivatives of L_d.
+        Default: central differences, with an error of about 1e-12 in the derivatives of L_d.
 
     Raises
     ------
     ValueError
-        If beta is not in [0, 1], or a function cannot be called.
+        If beta is not in [0, 1], or an argument is not callable.
 
     Examples
     --------
@@ -83,7 +83,7 @@ class DifferenceMap:
         return f"<DifferenceMap beta = {self.beta:g}{own}>"
 
     def _definition(self, n: int) -> tuple[Any, Any]:
-        """Return a ``dal_difference_map *`` for n coordinates, and what it needs to stay alive."""
+        """Return a ``dal_difference_map *`` for n coordinates, and the objects to keep alive."""
         definition = ffi.new("dal_difference_map *", {"beta": self.beta})
         if self.map is None:
             return definition, None
@@ -101,11 +101,12 @@ class Regularity(NamedTuple):
     matrix : ndarray, shape (n + m, n + m)
         [[D_1 D_2 L_d, mu^T], [D_2 phi_d, 0]].
     sign : int
-        Of the determinant; 0 where it vanishes to working precision.
+        Sign of the determinant; 0 if it vanishes to working precision.
     logarithm : float
-        log ``|determinant|``, -inf where it vanishes.
+        log ``|determinant|``, -inf if it vanishes.
     condition : float
-        Of the matrix with its first n columns multiplied by h; inf where the determinant vanishes.
+        Condition number of the matrix with its first n columns multiplied by h; inf if the
+        determinant vanishes.
     """
 
     matrix: Array
@@ -121,7 +122,7 @@ class NodeRun(NamedTuple):
     ----------
     nodes : ndarray, shape (steps + 2, n)
     multipliers : ndarray, shape (steps, m)
-        Row k acts at node k + 1; forces.
+        Forces; row k acts at node k + 1.
     """
 
     nodes: Array
@@ -135,9 +136,9 @@ class Discrete(core.Constant):
     ----------
     system : System
     lagrangian : DifferenceMap or float, optional
-        The map rho of L_d = h L o rho; a number is beta.
+        The map rho of L_d = h L o rho; a number is beta; default 0.5.
     constraint : DifferenceMap or float, optional
-        The map of phi_d = phi o rho, and of states.  None: the same.
+        The map of phi_d = phi o rho, and of states.  Default: the same map.
 
     Raises
     ------
@@ -146,14 +147,14 @@ class Discrete(core.Constant):
 
     Notes
     -----
-    The methods take nodes and velocities of shape (n,), the step h first and times t last; they
-    raise ValueError for arguments of another shape, that are not finite, or h = 0; DomainError
-    where a function of the system or of the map is not finite; and whatever such a function
-    raises.  Threads may share it as far as these functions may.
+    The methods take nodes and velocities of shape (n,), the step h first and times t last.  They
+    raise ValueError if an argument has another shape or is not finite, or h = 0. They raise
+    DomainError if a function of the system or of the map is not finite, and any exception raised by
+    such a function.  Threads may share a Discrete if these functions are thread-safe.
 
     Examples
     --------
-    The midpoint map, ten steps of the particle on its nodes and on its states:
+    Ten steps of the particle with the midpoint map, on nodes and on states:
 
     >>> import numpy as np
     >>> import dalembert as dal
@@ -191,10 +192,7 @@ class Discrete(core.Constant):
             pass
 
     def _call(self, function: Callable[..., int], *outputs: Any, **given: Any) -> Any:
-        """Call a C function of numbers t and h and of nodes, which are given by their names.
-
-        Return its outputs, which are given by their shapes.
-        """
+        """Call a C function of t, h and nodes, given by name; return outputs of these shapes."""
         shape = (self.system.n,)
         checked = (
             arguments.number(x, name) if name in ("t", "h") else arguments.array(x, name, shape)
@@ -214,7 +212,7 @@ class Discrete(core.Constant):
     # ---- nodes and states ------------------------------------------------------------------
 
     def state(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Pair:
-        """Return the state (q, v) of a pair of nodes by the map of D_d (roloc).
+        """Return the state (q, v) of a pair of nodes under the map of D_d (roloc).
 
         Parameters
         ----------
@@ -241,7 +239,7 @@ class Discrete(core.Constant):
         return q, v
 
     def nodes(self, h: float, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Pair:
-        """Return the pair of nodes of a state, by the inverse of the map of D_d.
+        """Return the pair of nodes of a state: the inverse of `state`.
 
         A state in D gives a pair of D_d.
 
@@ -262,7 +260,7 @@ class Discrete(core.Constant):
         ValueError, DomainError
             As for the class.
         SingularError, ConvergenceError
-            If a map of your own has no inverse there.
+            If your own map has no inverse there.
 
         Examples
         --------
@@ -321,7 +319,7 @@ class Discrete(core.Constant):
         -------
         D1, D2 : ndarray, shape (n,)
         D12 : ndarray, shape (n, n)
-            Entry [i, j] is d2L_d/dq0_i dq1_j; for a map of your own good to about 1e-10.
+            Entry [i, j] is d2L_d/dq0_i dq1_j; accurate to about 1e-10 for your own map.
 
         Raises
         ------
@@ -413,7 +411,7 @@ class Discrete(core.Constant):
             The step.
         q0, q1 : array_like, shape (n,)
         t : float, optional
-            Time of the pair, for generalized forces, which are part of the momenta.
+            Time of the pair.  Generalized forces are part of the momenta.
 
         Returns
         -------
@@ -445,8 +443,8 @@ class Discrete(core.Constant):
     ) -> tuple[float, float]:
         """Return p^- . xi0 and p^+ . xi1, the discrete momentum of a symmetry.
 
-        They are equal if L_d is invariant; and constant along an orbit if moreover there is no
-        constraint, or xi lies in D at every node.
+        The two are equal if L_d is invariant.  They are then constant along an orbit if there are
+        no forces, and no constraints or xi lies in D at every node.
 
         Parameters
         ----------
@@ -505,7 +503,7 @@ class Discrete(core.Constant):
         Returns
         -------
         ndarray, shape (n + m,)
-            n momenta, then phi_d(q, q_after).
+            The n equations of momenta, then phi_d(q, q_after).
 
         Raises
         ------
@@ -525,10 +523,10 @@ class Discrete(core.Constant):
         return self._call(lib.dal_discrete_residual, forces, shape, t=t, h=h, **nodes)
 
     def regularity(self, h: float, q: ArrayLike, q_after: ArrayLike, t: float = 0.0) -> Regularity:
-        """Return the matrix that has to be invertible where q_after is to be found.
+        """Return the matrix that has to be invertible to determine q_after (REG, RegularityDLA).
 
-        It is (RegularityDLA) with the right sides of prop. REG: the node map is defined near
-        (q, q_after) if its determinant, sign * exp(logarithm), is not 0.
+        The node map is defined near (q, q_after) if the determinant, sign * exp(logarithm), is not
+        0.
 
         Parameters
         ----------
@@ -536,7 +534,7 @@ class Discrete(core.Constant):
             The step.
         q, q_after : array_like, shape (n,)
         t : float, optional
-            Time of the pair before.
+            Time of the preceding pair.
 
         Returns
         -------
@@ -549,7 +547,7 @@ class Discrete(core.Constant):
 
         Examples
         --------
-        A step of the particle that no multiplier makes possible:
+        A step of the particle that is not possible with any multiplier:
 
         >>> import dalembert as dal
         >>> discrete = dal.Discrete(dal.systems.particle(), 1.0)
@@ -563,7 +561,7 @@ class Discrete(core.Constant):
         return Regularity(matrix, int(sign[0]), *logarithm_and_condition)
 
     def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> Pair:
-        """Return the node after the pair (q0, q1), and the multipliers (NHFlow).
+        """Return the node after the pair (q0, q1) and the multipliers (NHFlow).
 
         The pair need not lie in D_d; the new one does.
 
@@ -604,7 +602,7 @@ class Discrete(core.Constant):
     def run(
         self, h: float, q0: ArrayLike, q1: ArrayLike, *, steps: int, t0: float = 0.0
     ) -> NodeRun:
-        """Make steps on nodes, from a pair of D_d.
+        """Take steps on nodes, from a pair of D_d.
 
         Parameters
         ----------
@@ -613,9 +611,9 @@ class Discrete(core.Constant):
         q0, q1 : array_like, shape (n,)
             The first two nodes, see `nodes`.
         steps : int
-            How many nodes are found.
+            Number of steps, each of which computes a node.
         t0 : float, optional
-            Time of the pair (q0, q1), which is that of its state.
+            Time of the pair (q0, q1), and of its state.
 
         Returns
         -------
@@ -626,7 +624,7 @@ class Discrete(core.Constant):
         ValueError
             As for the class.
         NotOnConstraintError
-            If (q0, q1) does not lie in D_d; `step` leads there.
+            If (q0, q1) does not lie in D_d; take a `step` first.
         DomainError, SingularError, ConvergenceError
             As for `step`; ``.step`` is the number of good steps.
 
@@ -657,7 +655,7 @@ class Discrete(core.Constant):
     def advance(
         self, h: float, q: ArrayLike, v: ArrayLike, t: float = 0.0
     ) -> tuple[Array, Array, Array]:
-        """Return the state a step later, and the multipliers: rho F rho^-1 (VNI).
+        """Return the state after one step, rho F rho^-1 (VNI), and the multipliers.
 
         The new state lies in D to roundoff.  If both maps are rho^beta, this is the scheme beta
         of `integrate`.
@@ -714,11 +712,11 @@ def exact_velocity(
     t0: float = 0.0,
     tolerance: float = 1e-13,
 ) -> Pair:
-    """Return the velocity that leads from q0 to q1 in time h, and how far it misses across D.
+    """Return the velocity that leads from q0 to q1 in time h, and the defect across D.
 
-    The exact discrete constraint D_d^E consists of the pairs (q0, q(h)) of solutions in D.  For
-    any pair the velocity in D at q0 is found whose solution misses q1 only in the direction
-    M^-1 mu^T.
+    The exact discrete constraint D_d^E consists of the pairs (q0, q(h)) of solutions in D.  For any
+    pair the result is the velocity in D at q0 whose solution misses q1 only in the direction M^-1
+    mu^T.
 
     Parameters
     ----------
@@ -729,7 +727,7 @@ def exact_velocity(
     t0 : float, optional
         Time at q0.
     tolerance : float, optional
-        Of the reference flow.
+        Tolerance of the reference flow.
 
     Returns
     -------

@@ -1,7 +1,7 @@
-"""The growth vector of D, and whether D is integrable: the one place that decides.
+"""The growth vector of D, and the decision whether D is integrable.
 
-By expressions where there are any and SymPy is installed, with many digits and proofs (`algebra`);
-else by the functions of the system, as far as their 16 digits go (`functions`).
+With expressions and SymPy, the computation has many digits and proofs (`algebra`).  Otherwise it
+uses the functions of the system and their 16 digits (`functions`).
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ def examine(
     q: Array | None = None,
     show: Show = lambda found: None,
 ) -> Distribution:
-    """Return what can be said of D.
+    """Return the growth vector of D, and whether D is integrable.
 
     Parameters
     ----------
     system : System
-        With linear constraints, at least one.
+        A system with linear constraints, at least one.
     near : ndarray, shape (n,)
-        Some point where mu is defined; general ones are sought near it first.
+        A point in the domain of mu; general points are chosen near it first.
     q : ndarray, shape (n,), optional
-        Where the growth vector is wanted; default: at a general point.
+        The point of the growth vector; default: a general point.
     show : callable, optional
-        Called with the number of dimensions found so far, of m at a general point and m at q.
+        Called with the number of dimensions so far, of m at a general point and m at q.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def examine(
 
 
 def _model(system: Handle, near: Array) -> Any:
-    """Return the expressions of a system, or those of its formulas if they say what it is."""
+    """Return the expressions of a system, or of its formulas if these are complete."""
     if system._model is not None:
         return system._model
     if not system.formulas or not extras.is_there("sympy"):
@@ -74,7 +74,7 @@ def _model(system: Handle, near: Array) -> Any:
 
 
 def agree(found: Any, system: Handle, q: Array) -> bool:
-    """Return whether the linear constraints of a model are those of a system, at q and nearby.
+    """Return whether the linear constraints of a model agree with a system, at q and nearby.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""Is D = ker mu integrable, and if not, how far from it?  On the expressions of a model.
+"""Integrability and growth vector of D = ker mu, from the expressions of a model.
 
-The growth vector is found at points, as numbers of many digits, see `search`; so are constraints
-that are integrable by themselves.  That brackets leave D is proved by that; that they stay in it is
-proved by algebra where that is possible, see `zeros`.
+The growth vector, and constraints that are integrable by themselves, are computed at points with
+many digits, see `search`.  This proves that brackets leave D. Algebra proves, if possible, that
+they stay in D, see `zeros`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def examine(
     q: Array | None = None,
     show: Show = lambda found: None,
 ) -> Distribution:
-    """Return what `growth.examine` does, for values of the parameters of a model."""
+    """Return the result of `growth.examine`, for values of the parameters of a model."""
     n, m, forms = model.n, model.m, _Forms(model, values)
     found, points = explore(forms, near, q, show)
     general = found.general_growth
@@ -65,7 +65,7 @@ def examine(
 
 
 class _Forms:
-    """mu as expressions, and as a function with as many digits as mpmath works with."""
+    """mu as expressions, and as a function in the precision of mpmath."""
 
     digits = 30
     lost = "cannot be told from 0 at a point that is known to 16 digits"
@@ -87,7 +87,7 @@ class _Forms:
         self._values = sympy.lambdify([self.q], printed, "mpmath", cse=True)
 
     def at(self, q: Sequence[Any]) -> tuple[Array, list[Any]]:
-        """Return mu, and what is 0 where it is not smooth; ValueError if it is not defined."""
+        """Return mu, and functions that vanish if mu is not smooth; ValueError off its domain."""
         try:
             found = [mpmath.mpmathify(x) for x in self._values(q)]
         except (ArithmeticError, ValueError):
@@ -98,7 +98,7 @@ class _Forms:
         return np.array(found[:size], dtype=object).reshape(self.m, self.n), found[size:]
 
     def point(self, q: Array, is_exact: bool) -> _Point:
-        """Return a point; ValueError if it is no exact one, and mu not smooth there."""
+        """Return a point; raise ValueError if it is not exact and mu is not smooth there."""
         places = [list(map(mpmath.mpf, q))]
         if not is_exact:
             source = random.Random(1)
@@ -114,7 +114,7 @@ class _Forms:
                 raise ValueError(f"mu is not smooth there: {self.shown(e)} is 0")
 
     def are_involutive(self, dependent: Sequence[int]) -> bool:
-        """Return whether it is proved that D is: d mu^a(X, Y) = 0 for all fields of a basis."""
+        """Return whether D is proved to be involutive: d mu^a(X, Y) = 0 for a basis of fields."""
         n, m, q = self.n, self.m, self.q
         if n - m <= 1:
             return True
@@ -139,7 +139,7 @@ class _Forms:
 
 
 def _edges(expressions: Sequence[Expr]) -> list[Expr]:
-    """Return what is 0 where expressions have no Taylor series."""
+    """Return expressions that vanish at points without Taylor series."""
     found = set()
     kinds = sympy.core.function.Application, sympy.Pow, sympy.Rel
     for e in set().union(*(e.atoms(*kinds) for e in expressions)):
@@ -155,9 +155,9 @@ def _edges(expressions: Sequence[Expr]) -> list[Expr]:
 
 
 class _Point:
-    """Brackets of mu at a point, see `search.search`; it may be at any of its places.
+    """Brackets of mu at a point that has several places, see `search.search`.
 
-    ``rows`` are those of mu.  ValueError if they are not independent there.
+    ``rows`` are the rows of mu.  Raises ValueError if they are dependent there.
     """
 
     rounding = _ZERO
@@ -202,7 +202,7 @@ class _Point:
         return -mu[[r for r, _ in self._pivots]][:, self._free]
 
     def is_integrable(self, a: int) -> bool:
-        """Return whether one constraint is by itself: then it is holonomic."""
+        """Return whether one constraint is integrable by itself, and so holonomic."""
         alone, told = search(_Point(self._forms, self._places, [a]), 1)
         return told and alone[-1] < self.n
 

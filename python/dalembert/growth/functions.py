@@ -1,4 +1,4 @@
-"""The growth vector of a D that is given by functions, with the 16 digits that they have."""
+"""The growth vector of a D given by functions, from their 16 digits."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class _Functions:
 class _Point:
     """Brackets of mu given by functions, at a point, see `search.search`.
 
-    Those of k + 1 fields are given times h^k, so that their roundoff is the same for all k.  Twins
-    have another distance h of the differences; it is taken so small that the two agree.
+    Brackets of k + 1 fields are multiplied by h^k, so their roundoff is the same for all k. Twins
+    use another distance h of the differences, so small that the two agree.
 
     Raises
     ------
     DalembertError
-        If mu has not rank m there; by `pair`, if its derivatives do not seem to exist.
+        If the rank of mu is below m there; from `pair`, if its derivatives do not seem to exist.
     """
 
     rounding = 2.0**-44
@@ -53,7 +53,7 @@ class _Point:
         self._dependent = [system.coordinates.index(c) for c in self._chart.dependent]
 
     def pair(self, word: Word) -> Pair:
-        """Return the dependent components of a bracket, and the same by other differences."""
+        """Return the dependent components of a bracket, and their twin by other differences."""
         while self._h >= _LEAST:
             with contextlib.suppress(*OUTSIDE):
                 row, twin = (self._row(word, part * self._h) for part in (1.0, 0.8))
@@ -75,5 +75,5 @@ def examine(
     q: Array | None = None,
     show: Show = lambda found: None,
 ) -> Distribution:
-    """Return what `growth.examine` does, as far as 16 digits tell."""
+    """Return the result of `growth.examine`, to 16 digits."""
     return explore(_Functions(system), near, q, show)[0]

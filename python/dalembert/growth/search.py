@@ -2,18 +2,19 @@
 
 D^{k+1} = D^k + [D, D^k] is spanned by the brackets [X_a, [X_b, ... [X_y, X_z]]] of up to k + 1
 fields.  A field X_u of D has the constant independent velocities u, so a bracket has dependent
-components alone, and
+components only.  The formula
 
     [X_u, W] = dW/dq X_u - dX_u/dq W
 
-takes no more than derivatives along lines, which are found by differences.
+needs derivatives along lines only, which are computed by differences.
 
-At a general point only the brackets that are new in D^k have to be bracketed again.  Elsewhere the
-others matter too; there u, ..., z are random: while something of D^{k+1} is missing, a random
-bracket gives it with probability 1, for its coefficients are polynomials in u, ..., z.  For what
-the growth vector says see A. Bellaiche, The tangent space in sub-Riemannian geometry; for cars with
-trailers F. Jean, The car with N trailers: there it is (2, 3, ..., n), unless two neighbours stand
-at right angles, the last two apart.
+At a general point only the brackets that are new in D^k have to be bracketed again.  At other
+points all matter, and u, ..., z are random.  While D^{k+1} is incomplete, a random bracket adds to
+it with probability 1, because its coefficients are polynomials in u, ..., z.
+
+For the meaning of the growth vector see A. Bellaiche, The tangent space in sub-Riemannian geometry.
+For cars with trailers see F. Jean, The car with N trailers: it is (2, 3, ..., n), unless two
+neighbours other than the last two are at right angles.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ Growth = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Distribution:
-    """What is found of D; see `dalembert.Check`."""
+    """The results about D; see `dalembert.Check`."""
 
     growth: Growth | None
     general_growth: Growth | None
@@ -66,8 +67,8 @@ def brackets(
 ) -> Callable[[Word, Any], Array]:
     """Return a function of a word and a point: the dependent components of a bracket.
 
-    ``fields(q)`` is S, shape (m, n - m), so that v_dependent = S u on D; the stencil has steps and
-    weights of the difference along a line.  What was computed is kept: many words have much in
+    ``fields(q)`` is S, shape (m, n - m), with v_dependent = S u on D.  The stencil has steps and
+    weights of the difference along a line.  Results are cached, because many words have parts in
     common.
     """
     rows = list(dependent)
@@ -94,14 +95,14 @@ def brackets(
 
 
 class _Span:
-    """Rows, eliminated; the twin of one, found elsewhere, differs by what is not known of it."""
+    """Rows after elimination; a row differs from its twin by its uncertainty."""
 
     def __init__(self) -> None:
         self._least: Any = 1
         self._leads: list[tuple[int, Array, Array]] = []
 
     def add(self, row: Array, twin: Array, rounding: Any) -> bool | None:
-        """Return whether a row adds to the space, None if that cannot be told."""
+        """Return whether a row adds to the space, None if that cannot be decided."""
         rounding = rounding * max(1, abs(row).max())
         for c, lead, other in self._leads:
             row, twin = row - row[c] * lead, twin - twin[c] * other
@@ -121,12 +122,12 @@ def search(
     least: int = 0,
     is_general: bool = True,
 ) -> tuple[Growth, bool]:
-    """Return the dimensions of D^1, D^2, ..., and False if further ones are lost in rounding.
+    """Return the dimensions of D^1, D^2, ..., and False if rounding hides further ones.
 
-    ``point`` has the sizes n and m, the ``rounding`` of numbers of size 1, and ``pair(word)``: the
-    dependent components of a bracket, shape (m,), and a twin, see `_Span`.  The search ends after
-    so many orders at ``most``, or where the dimensions are settled and not below the ``least``;
-    ``show`` is told how many were added to those of D.
+    ``point`` has the sizes n and m, the ``rounding`` of numbers of size 1, and ``pair(word)``.  The
+    last is the dependent components of a bracket, shape (m,), and their twin, see `_Span`.  The
+    search ends after ``most`` orders, or when the dimensions are settled and at least ``least``.
+    ``show`` is called with the number of added dimensions.
     """
     n, count = point.n, point.n - point.m
     span, dimensions, words = _Span(), [count], list[Word]()
@@ -150,7 +151,7 @@ def search(
 
 
 def _of_new_ones(count: int, last: Sequence[Word]) -> Iterable[Word]:
-    """Return the brackets to try at a general point, of ``count`` fields and those found last."""
+    """Return the brackets to try at a general point, of ``count`` fields and the last new ones."""
     source = random.Random(1)
     fields = [
         tuple((i == j) + source.uniform(-0.3, 0.3) for j in range(count)) for i in range(count)
@@ -161,7 +162,7 @@ def _of_new_ones(count: int, last: Sequence[Word]) -> Iterable[Word]:
 
 
 def _at_random(count: int, length: int) -> Iterator[Word]:
-    """Yield those to try anywhere: random ones, until one is nothing new."""
+    """Yield random brackets to try at any point, until one adds nothing new."""
     source = random.Random(2)
     while True:
         yield tuple(tuple(source.uniform(-1, 1) for _ in range(count)) for _ in range(length))
@@ -170,14 +171,14 @@ def _at_random(count: int, length: int) -> Iterator[Word]:
 def explore(
     source: Any, near: Array, q: Array | None, show: Show
 ) -> tuple[Distribution, list[Any]]:
-    """Return what is found of D, and the points where brackets were formed.
+    """Return the results about D, and the points at which brackets were computed.
 
     Parameters
     ----------
     source : object
-        With the sizes n and m, its ``digits``, ``point(q, is_exact)`` for `search`, the numbers of
-        orders ``most`` at a general point and ``most_there`` at q, and what is to be said of
-        brackets that are ``lost``, as they cannot be told from 0.
+        Has the sizes n and m, its ``digits``, and ``point(q, is_exact)`` for `search`.  Also the
+        numbers of orders ``most`` at a general point and ``most_there`` at q, and ``lost``, the
+        message for brackets not distinguishable from 0.
     near, q, show
         See `growth.examine`.
     """
@@ -208,9 +209,9 @@ def explore(
 
 
 def _general(source: Any, near: Array, show: Show) -> tuple[list[Any], Growth | None, str]:
-    """Return general points, the largest growth vector at them, and what it lacks.
+    """Return general points, the largest growth vector at them, and its reservation.
 
-    Of functions that vanish nearly everywhere, or are given in pieces, one point does not tell.
+    One point is not sufficient for functions that vanish nearly everywhere, or are piecewise.
     """
     points, best, note, lack = list[Any](), (), "", ""
     for places, is_exact in _places(near):
@@ -234,7 +235,7 @@ def _general(source: Any, near: Array, show: Show) -> tuple[list[Any], Growth | 
 def _look(
     source: Any, point: Any, most: int, show: Show, least: int = 0, is_general: bool = True
 ) -> tuple[Growth, str]:
-    """Return the growth vector at a point, see `search`, and what it lacks."""
+    """Return the growth vector at a point, see `search`, and a reservation about it."""
     found, told = search(point, most, show, least, is_general)
     note = ""
     if not told:
@@ -245,7 +246,7 @@ def _look(
 
 
 def _places(near: Array) -> Iterator[tuple[list[Array], bool]]:
-    """Yield places in no special position, near ones first, and near; each is exact or rounded."""
+    """Yield general places, near ones first, then ``near``; each is exact or rounded."""
     for size in _NEARBY:
         yield [nearby(near, size, k) for k in range(1, 5)], True
     yield [near], False
@@ -254,17 +255,17 @@ def _places(near: Array) -> Iterator[tuple[list[Array], bool]]:
 
 
 def nearby(q: Array, size: float, k: int = 1) -> Array:
-    """Return the k-th of some points at a distance from q."""
+    """Return the k-th of a sequence of points at a distance from q."""
     return q + size * (1 + abs(q)) * np.cos(k * np.arange(1, len(q) + 1))
 
 
 def _size(growth: Growth) -> Growth:
-    """Return what is larger for one that ends above another, or gets there sooner."""
+    """Return a key that orders growth vectors by their end, then by how early they reach it."""
     return (*growth[-1:], *growth)
 
 
 def _rising(show: Show) -> Show:
-    """Return the function that shows what is more than it was told before."""
+    """Return a function that passes only increasing values to ``show``."""
     most = 0
 
     def told(found: int) -> None:

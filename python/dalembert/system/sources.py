@@ -1,4 +1,4 @@
-"""Where systems come from: each source makes a C system, pickles, and says what it adds to it."""
+"""Sources of systems: each creates a C system, can be pickled, and adds its Python parts."""
 
 from __future__ import annotations
 
@@ -49,20 +49,20 @@ _NEEDS = {
 
 
 class Made(NamedTuple):
-    """A C system, and what it has besides in Python.
+    """A C system and its parts in Python.
 
     Attributes
     ----------
     handle : cdata
         The ``dal_system *``.
     exact : callable or None
-        The exact solution, where C does not know it.
+        The exact solution, unless C has it.
     invariants : dict
-        First integrals, where C does not know them.
+        First integrals, unless C has them.
     has_exact : bool or None
-        Whether there is an exact solution; None: C knows.
+        Whether there is an exact solution; None: ask C.
     model : Model or None
-        Of a system of expressions.
+        The model of a system from expressions.
     """
 
     handle: Any
@@ -73,21 +73,21 @@ class Made(NamedTuple):
 
 
 class Source:
-    """Where a system comes from; it pickles as the numbers, functions and expressions it holds."""
+    """The definition of a system; it is pickled as its numbers, functions and expressions."""
 
     of_library = False  # True: `systems.get` with the name and the parameters makes it again
     calls_python = False  # True: a step may take any time
 
     def make(self) -> Made:
-        """Make the system."""
+        """Create the system."""
         raise NotImplementedError
 
     def named(self) -> dict[str, Function | None]:
-        """Return what it has in functions of the user, by name; None for what is not given."""
+        """Return the functions of the user by name, None if not given."""
         return {}
 
     def identity(self) -> Any:
-        """Return what tells the system from others, as far as that can be told, for JSON."""
+        """Return data for JSON that identify the system as far as possible."""
         raise NotImplementedError
 
     def with_values(self, values: dict[str, float]) -> Source:
@@ -95,7 +95,7 @@ class Source:
         return dataclasses.replace(self, values=values) if hasattr(self, "values") else self
 
     def require_picklable(self, name: str) -> None:
-        """Raise PicklingError, with the line to change, for a function that does not pickle."""
+        """Raise PicklingError, with the line to change, if a function cannot be pickled."""
         for key, function in self.named().items():
             try:
                 pickle.dumps(function)
@@ -136,7 +136,7 @@ def _new(
 
 @dataclass
 class Functions(Source):
-    """What systems of functions in Python and of those in C have in common."""
+    """The common part of systems of Python functions and of C functions."""
 
     given: dict[str, Function | None]
     mass: Array | None
@@ -185,7 +185,7 @@ class Functions(Source):
 
 
 class PythonFunctions(Functions):
-    """A system of functions in Python."""
+    """A system of Python functions."""
 
     calls_python = True
 
@@ -214,7 +214,7 @@ class PythonFunctions(Functions):
 
 @dataclass
 class CFunctions(Functions):
-    """A system of functions in C."""
+    """A system of C functions."""
 
     kind: str | None
     missing: Sequence[str] | None
@@ -237,7 +237,7 @@ class CFunctions(Functions):
 
 
 def functions(given: dict[str, Any]) -> Functions:
-    """Return the source of a system of functions, see `dalembert.System`; ValueError if wrong."""
+    """Return the source of a system of functions, see `dalembert.System`, or raise ValueError."""
     invariants, mass, n, m = (given[key] for key in ("invariants", "mass", "n", "m"))
     by_name = {key: given[key] for key in core.functions.FUNCTIONS}
     require_named(invariants)
@@ -297,7 +297,7 @@ def functions(given: dict[str, Any]) -> Functions:
 
 
 def _input_names(given: Sequence[str] | int | None, force: Any, driven: bool) -> list[str]:
-    """Return the names of the inputs: as given, or u0, u1, ... for so many."""
+    """Return the names of the inputs, as given, or u0, u1, ... for a number."""
     if given is None:
         return []
     if isinstance(given, int) and not isinstance(given, bool):
@@ -320,10 +320,7 @@ def _mass_and_names(
     q0: ArrayLike | None,
     most: int,
 ) -> tuple[Array | None, list[str]]:
-    """Return M, if it is given, and the names of the coordinates, which agree in their number.
-
-    M may be its diagonal.
-    """
+    """Return M or its diagonal, if given, and the names of the coordinates, of the same size."""
     if coordinates is not None:
         coordinates = arguments.names(coordinates, "coordinates", "several names, as ['x', 'y']")
     told = _number_of_coordinates(n, coordinates, q0, most)
@@ -338,7 +335,7 @@ def _mass_and_names(
 
 
 def _compiled(given: Mapping[str, Any], driven: bool) -> dict[str, pointers.Pointer]:
-    """Return those of the functions that are C functions."""
+    """Return those functions that are C functions."""
     names = [key for key in pointers.ARGUMENTS if key != "driven"]
     of = {"constraint": "driven"} if driven else {}
     found = {key: pointers.find(key, given[key], of.get(key)) for key in names}
@@ -350,7 +347,7 @@ def _compiled(given: Mapping[str, Any], driven: bool) -> dict[str, pointers.Poin
 
 @dataclass
 class BuiltIn(Source):
-    """A system that comes with the library, written in C."""
+    """A system of the library, written in C."""
 
     name: str
     values: Mapping[str, Any]
@@ -374,8 +371,8 @@ class BuiltIn(Source):
 class Expressions(Source):
     """A system of expressions: a model, and values of its parameters.
 
-    An invariant that is None is an expression of the model.  With ``lanes`` steps can also be made
-    for several members of an ensemble at once.
+    An invariant that is None is an expression of the model.  With ``lanes``, steps can advance
+    several members of an ensemble at once.
     """
 
     model: Any
@@ -427,7 +424,7 @@ class Expressions(Source):
     def _from_library(
         self, library: Any, numbers: Any, mass: Array | None, state: Array | None, in_c: bool
     ) -> Any:
-        """Return the C system of a compiled model; in_c: its invariants are functions of C."""
+        """Return the C system of a compiled model; ``in_c``: its invariants are C functions."""
         definition = ffi.new("dal_system_def *", library.definition[0])
         c_invariants, kept = core.strings(list(self.invariants))
         if self.values:
@@ -506,7 +503,7 @@ def require_named(invariants: Any) -> None:
 
 
 def _require_parts(functions: dict[str, Function | None], mass: Any, timed: bool) -> None:
-    """Raise ValueError if functions are given that do not go together, or not all that do."""
+    """Raise ValueError if functions are incompatible, or one of a group is missing."""
     given = {key for key, function in functions.items() if function is not None}
     if mass is not None:
         given.add("mass")
@@ -541,7 +538,7 @@ def _require_compiled(
     mass: Any,
     m: int | None,
 ) -> None:
-    """Raise ValueError if something does not go together with C functions."""
+    """Raise ValueError if an argument is incompatible with C functions."""
     for key, function in functions.items():
         if function is not None and key != "exact" and key not in compiled:
             raise ValueError(
@@ -560,7 +557,7 @@ def _require_compiled(
 def _number_of_coordinates(
     n: int | None, coordinates: Sequence[str] | None, q0: ArrayLike | None, most: int
 ) -> int | None:
-    """Return n as given, or as the coordinates or q0 tell it; None if nothing does."""
+    """Return n as given, or the number of coordinates or entries of q0, or None."""
     if n is not None:
         return arguments.integer(n, "n", 1, most)
     if coordinates is not None:
@@ -569,7 +566,7 @@ def _number_of_coordinates(
 
 
 def _mass_matrix(mass: ArrayLike, n: int | None, told: int | None) -> Array:
-    """Return M for a matrix, or its diagonal for that or one number; ValueError if n is another."""
+    """Return M, or its diagonal for a diagonal or a number; ValueError if the size is wrong."""
     matrix = arguments.array(mass, "mass", (None, None), (None,), ())
     if matrix.ndim == 0:
         if told is None:
@@ -583,7 +580,7 @@ def _mass_matrix(mass: ArrayLike, n: int | None, told: int | None) -> Array:
 
 
 def _require_linear(functions: dict[str, Function | None], compiled: bool) -> None:
-    """Raise ValueError unless functions of a system with a sparsity can return its entries."""
+    """Raise ValueError unless the functions of a system are compatible with a sparsity."""
     if compiled:
         return
     for key in ("affine", "constraint"):
@@ -602,7 +599,7 @@ def _number_of_constraints(
     timed: bool,
     inputs: tuple[Array, ...],
 ) -> int:
-    """Return m as given, or as many as ``forms(q)`` or ``constraint(q, v)`` returns, at time 0."""
+    """Return m as given, or the number of rows from ``forms`` or ``constraint`` at time 0."""
     if forms is None and constraint is None:
         if m:
             raise ValueError(f"m = {m}: without forms or constraint there are no constraints")

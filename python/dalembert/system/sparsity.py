@@ -1,4 +1,4 @@
-"""Which entries of mu may be other than 0, as users say it."""
+"""The argument ``sparsity``: the entries of mu that may be nonzero."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..core import arguments
 
 
 class Sparsity(NamedTuple):
-    """Rows and columns of the entries, both ascending, and how many constraints there are."""
+    """Rows and columns of the entries, both ascending, and the number of constraints."""
 
     rows: NDArray[np.uintp]
     columns: NDArray[np.uintp]
@@ -25,7 +25,7 @@ _EXPECTED = (
 
 
 def read(value: Any, n: int, m: int | None) -> Sparsity:
-    """Return the sparsity that a user gave, of n coordinates; ValueError if it is none."""
+    """Return the given sparsity for n coordinates; raise ValueError if it is invalid."""
     shape: tuple[int, ...] = ()
     if hasattr(value, "tocoo"):
         shape, found = value.shape, value.tocoo()
@@ -50,7 +50,7 @@ def read(value: Any, n: int, m: int | None) -> Sparsity:
 
 
 def _pair(value: tuple[Any, ...]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return rows and columns, as far as they may be such; C looks at their order."""
+    """Return rows and columns of valid types; C checks their order."""
     both = [np.asarray(x) for x in value]
     if len(both) != 2 or any(
         x.ndim != 1 or (x.size and x.dtype.kind not in "iu") for x in both

@@ -1,8 +1,8 @@
-"""The systems that come with the library: one function for each.
+"""The systems of the library, one function for each.
 
-``dal.systems.names()`` lists those that are written in C, ``dal.systems.names_in_sympy()`` those
-that need SymPy, see `dalembert.systems.catalogue`; ``dal.systems.particle()`` makes one, and
-``help(dal.systems.disk)`` shows its coordinates and parameters.
+``dal.systems.names()`` lists the systems written in C. ``dal.systems.names_in_sympy()`` lists those
+that need SymPy, see `dalembert.systems.catalogue`.  ``dal.systems.particle()`` returns a system,
+and ``help(dal.systems.disk)`` shows the coordinates and parameters of another.
 
 >>> import dalembert as dal
 >>> ball = dal.systems.ball_on_table(Omega=2)  # affine constraints
@@ -36,7 +36,7 @@ __all__ = ["KnownState", "get", "known_states", "names", "names_in_sympy", "plai
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of the systems that are written in C, which need nothing else.
+    """Return the names of the systems written in C, which are always available.
 
     Examples
     --------
@@ -48,7 +48,7 @@ def names() -> tuple[str, ...]:
 
 
 def names_in_sympy() -> tuple[str, ...]:
-    """Return the names of the systems that are written in SymPy, and need it.
+    """Return the names of the systems written in SymPy, which need it installed.
 
     Examples
     --------
@@ -60,22 +60,22 @@ def names_in_sympy() -> tuple[str, ...]:
 
 
 def get(name: str, /, **parameters: float) -> System:
-    """Return the system of this name, with some parameters changed from their defaults.
+    """Return the system of this name with the given values of parameters.
 
     Parameters
     ----------
     name : str
-        One of `names` or `names_in_sympy`; ``-`` and ``_`` are the same.
+        One of `names` or `names_in_sympy`; ``-`` and ``_`` are equivalent.
     **parameters : float
-        As for ``System.parameters`` lists them, in the user's units.
+        Parameters as in ``System.parameters``, in the user's units.  Default: those of the system.
 
     Raises
     ------
     ValueError
-        If there is no such system or parameter, or a parameter is out of its range; the text
-        lists what there is.
+        If there is no such system or parameter, or a parameter is out of range.  The message lists
+        the names.
     ImportError
-        If the system is written in SymPy, and that is not installed.
+        If the system is written in SymPy and SymPy is not installed.
 
     Examples
     --------
@@ -98,14 +98,14 @@ def get(name: str, /, **parameters: float) -> System:
 
 @dataclass(frozen=True)
 class KnownState:
-    """A state that is known to 30 digits.
+    """A state known to 30 digits.
 
     Attributes
     ----------
     t : float
         Time since the start.
     q, v : tuple of str
-        The n coordinates and velocities, in decimals.
+        The n coordinates and velocities, as decimal numbers.
     """
 
     t: float
@@ -116,18 +116,18 @@ class KnownState:
 def known_states(name: str) -> tuple[KnownState, ...]:
     """Return states of a system with its default parameters and data, known to 30 digits.
 
-    They were computed by two methods, see ``tests/data/make_references.py``, with parameters and
-    data that are decimals exactly: a = 0.4 is 2/5.
+    Two methods computed them, see ``tests/data/make_references.py``.  Parameters and data are exact
+    decimals: a = 0.4 is 2/5.
 
     Parameters
     ----------
     name : str
-        One of `names` or `names_in_sympy`; ``-`` and ``_`` are the same.
+        One of `names` or `names_in_sympy`; ``-`` and ``_`` are equivalent.
 
     Returns
     -------
     tuple of KnownState
-        At t = 0, 1 and 10.
+        The states at t = 0, 1 and 10.
 
     Raises
     ------
@@ -155,12 +155,12 @@ def _references() -> dict[str, dict[str, dict[str, list[str]]]]:
 
 
 def plain_name(name: str) -> str:
-    """Return the name of a system as it is in `names` or `names_in_sympy`: with _ for -.
+    """Return the name of a system as in `names` or `names_in_sympy`: with _ for -.
 
     Raises
     ------
     ValueError
-        If it is in neither; the text lists what there is.
+        If there is no such system.  The message lists the names.
 
     Examples
     --------
@@ -181,7 +181,7 @@ def _no_system(name: Any, there: list[str]) -> str:
 
 
 def _maker(name: str) -> Callable[..., System]:
-    """Return the function that makes one system; what it says is what the core says."""
+    """Return the function that creates a system, with a docstring from the texts in C."""
     default = get(name)
 
     def make(**parameters: float) -> System:

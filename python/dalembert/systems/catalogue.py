@@ -1,8 +1,8 @@
-"""Systems that come with the library as SymPy expressions: cars, robots, a gearbox, a control case.
+"""Systems of the library in SymPy: cars, robots, a gearbox, a control case.
 
-They are functions of `dalembert.systems` like those written in C.  SymPy is imported when one of
-them is called, and what it makes is compiled once, see `dalembert.compiler`.  The docstring of each
-is the one place for what it says about itself: help, description and source of the system.
+They are functions of `dalembert.systems` like those written in C.  A call imports SymPy; each
+system is compiled once, see `dalembert.compiler`.  The docstring of a function is the source of the
+help, description and source of its system.
 
 >>> import dalembert as dal
 >>> car = dal.systems.steered_car(l=0.4)
@@ -35,7 +35,7 @@ __all__ = [
 
 
 def about(name: str) -> dict[str, str]:
-    """Return what a system says about itself: help, description and source; without SymPy."""
+    """Return help, description and source of a system, without SymPy."""
     summary, _, rest = (inspect.getdoc(globals()[name]) or "").partition("\n\n")
     extended, *sections = re.split(r"\n\n(\w+)\n-+\n", f"\n\n{rest}")
     named = dict(zip(sections[::2], sections[1::2]))
@@ -59,11 +59,11 @@ def _system(
     positive: str = "",
     **where: str,
 ) -> Callable[[Callable[..., None]], Callable[..., System]]:
-    """Make a system of formulas, see `symbolic.formula`.
+    """Decorate a function: replace it by one that returns the system of these formulas.
 
-    Of the function that is decorated come the parameters, all of them numbers, and the docstring.
-    The names of coordinates, and of parameters that have to be positive, are separated by blanks;
-    ``where`` has what other names in the formulas stand for.
+    The decorated function supplies the parameters, which are numbers, and the docstring.  The names
+    of coordinates, and of positive parameters, are separated by blanks.  ``where`` defines other
+    names in the formulas; see `symbolic.formula`.
     """
 
     def decorate(describe: Callable[..., None]) -> Callable[..., System]:
@@ -129,8 +129,8 @@ def steered_car(
         -sin(theta) x' + cos(theta) y' = 0
         -sin(theta + phi) x' + cos(theta + phi) y' + l cos(phi) theta' = 0
 
-    No constraint acts on phi; so the momentum of the front axle is constant, and the energy of the
-    rest.
+    No constraint acts on phi, so the momentum of the front axle and the energy of the rest are
+    constant.
 
     Parameters
     ----------
@@ -172,23 +172,23 @@ def roller_racer(
 ) -> None:
     """Roller racer: two bodies in a hinge, each on an axle; it drives by swinging the handle.
 
-    Coordinates x, y, theta, phi: middle of the rear axle, where the body (m, J) has its centre of
-    mass, heading of the body, and angle of the handle (K, without mass) to it.  The hinge is d1
-    before the rear axle, and the axle of the handle d2 before the hinge::
+    Coordinates x, y, theta, phi: middle of the rear axle, heading of the body, and angle of the
+    handle to it.  The body (m, J) has its centre of mass at (x, y); the handle (K) has no mass.
+    The hinge is d1 ahead of the rear axle, and the axle of the handle d2 ahead of the hinge::
 
         L = (m (x'^2 + y'^2) + J theta'^2 + K (theta' + phi')^2)/2
         -sin(theta) x' + cos(theta) y' = 0
         -sin(theta + phi) x' + cos(theta + phi) y' + (d1 cos(phi) + d2) theta' + d2 phi' = 0
 
-    Beside the energy there is one more invariant, which is not among those of the system because
-    there is an elliptic integral in it.  It stands in the docstring, where u is the speed along the
-    heading, and N is `sin(phi)^2/m + d1^2 cos(phi)^2/J`::
+    Besides the energy there is an invariant with an elliptic integral, which the system does not
+    list.  Its formula is in the docstring, where u is the speed along the heading and N is
+    `sin(phi)^2/m + d1^2 cos(phi)^2/J`::
 
         atan2(sqrt(1 + K N/d2^2) (u sin(phi) - d1 theta' cos(phi)),
               d1 u cos(phi) sqrt(m/J) + theta' sin(phi) sqrt(J/m))
         - integral of d1/(sqrt(m J) N sqrt(1 + K N/d2^2)) over phi
 
-    The handle comes to rest in the end, and the racer goes round in a circle.
+    The handle finally comes to rest, and the racer moves in a circle.
 
     Parameters
     ----------
@@ -238,22 +238,21 @@ def two_wheeled_robot(
 ) -> None:
     """Robot on two wheels (inertia I, radius r) at distance b either side, centre of mass a ahead.
 
-    Coordinates x, y, theta, right, left: middle of the axle, heading, angles of the wheels; the
-    speed along the heading is `u = v_x cos(theta) + v_y sin(theta)`, and w is that across it::
+    Coordinates x, y, theta, right, left: middle of the axle, heading, angles of the wheels.  The
+    speed along the heading is `u = v_x cos(theta) + v_y sin(theta)`; w is the speed across it::
 
         L = (m (u^2 + (w + a theta')^2) + J theta'^2 + I (right'^2 + left'^2))/2
         w = 0,  u + b theta' = r right',  u - b theta' = r left'
 
-    One of the constraints is holonomic in disguise: `r (right - left) - 2 b theta` is constant.
-    The rest is a sleigh, whose second invariant has `A = m + 2 I/r^2` and
-    `B = J + m a^2 + 2 I b^2/r^2` in it.
+    One of the constraints is holonomic: `r (right - left) - 2 b theta` is constant.  The rest is a
+    sleigh.  Its second invariant contains `A = m + 2 I/r^2` and `B = J + m a^2 + 2 I b^2/r^2`.
 
     Parameters
     ----------
     m, J, I : float
         Mass and inertia of the robot about its centre of mass, inertia of a wheel; positive.
     a : float
-        How far the centre of mass is before the axle.
+        Distance of the centre of mass ahead of the axle.
     b, r : float
         Half the distance of the wheels, and their radius; positive.
 
@@ -286,8 +285,8 @@ def cvt(*, c: float = 0.2) -> None:
         L = (x'^2 + y'^2 + z'^2)/2 - (x^2 + z^2)/2 - y^2/2 - c y^3
         x' + y z' = 0
 
-    Nothing acts upon the driver: its energy is constant, and that of the pair x, z.  With `c = 0`
-    it is `contact_oscillator`; otherwise the driver swings out of centre.
+    No force couples the driver to the pair x, z: the energy of each is constant.  For `c = 0` the
+    system is `contact_oscillator`; otherwise the driver swings off centre.
 
     Parameters
     ----------
@@ -330,17 +329,17 @@ def sleigh_with_rotor(
         L = (m (x'^2 + y'^2) + J theta'^2 + K (theta' + psi')^2)/2 - k psi^2/2
         -sin(theta) x' + cos(theta) y' - a theta' = 0
 
-    Beside the energy there is an invariant for `k = 0` only: no constraint acts on psi, so the
-    momentum `K (v_theta + v_psi)` of the rotor changes by the torque `-k psi` of the spring alone.
-    Without the spring the sleigh does not feel the rotor, and moves as `sleigh` does; with it, the
-    rotor is stopped in the end, and the sleigh goes straight.
+    No constraint acts on psi, so only the torque `-k psi` of the spring changes the momentum `K
+    (v_theta + v_psi)` of the rotor.  It is an invariant besides the energy for `k = 0` only.
+    Without the spring the rotor does not affect the sleigh, which moves like `sleigh`.  With the
+    spring, the rotor finally stops and the sleigh moves straight.
 
     Parameters
     ----------
     m, J, K : float
         Mass of the whole, inertia of the sleigh and of the rotor; positive.
     a : float
-        How far the centre of mass is before the blade.
+        Distance of the centre of mass ahead of the blade.
     k : float
         Stiffness of the spring.
 
@@ -375,8 +374,8 @@ def disguised() -> None:
         L = |v|^2/2 - (|q|^2 + z1^2 z2^2 + sum y_i^2 z_i^2)/2
         x' + z1 z1' + z2 z2' + z3 z3' = 0
 
-    The constraint is the time derivative of the invariant: the control case for what should hold of
-    nonholonomic systems only, and for the check of a system.
+    The constraint is the time derivative of the invariant.  The system is a control case for
+    properties of nonholonomic systems, and for `check`.
 
     Returns
     -------
