@@ -1,4 +1,4 @@
-"""Schemes, runs, and what they return."""
+"""Schemes, runs, and their results."""
 
 from .events import Event
 from .export import to_pandas, to_xarray

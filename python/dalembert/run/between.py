@@ -1,5 +1,6 @@
-"""States between those that a run has stored, by steps of its scheme: where the steps have many
-sizes, or the force has inputs.
+"""States between the stored ones of a run, by steps of its scheme.
+
+Used if the step size varies, or there are inputs.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from .steps import options_of
 def fill(run: Any, times: Array, x: Array) -> None:
     """Write the states of a `Solution` at the times into x, shape (N, 2n).
 
-    Each is reached from the last state that is known before it, of a row or after a reset.
+    Steps start from the last known state before each time: a row, or the state after a reset.
     """
     known, states = _known(run)
     ahead = -1.0 if known[-1] < known[0] else 1.0
@@ -54,7 +55,7 @@ def _known(run: Any) -> tuple[Array, Array]:
 
 
 def _changes(run: Any, known: Array) -> Array:
-    """Return the times where rows of inputs begin."""
+    """Return the times at which rows of inputs begin."""
     if not run.control:  # a hold is so many steps
         return run.t0 + np.arange(len(run.inputs)) * int(run.hold) * run.h
     ahead = -1.0 if known[-1] < known[0] else 1.0
@@ -62,7 +63,7 @@ def _changes(run: Any, known: Array) -> Array:
 
 
 def _reach(run: Any, stepper: Any, changes: Array, t: float, x: Array, end: float) -> Array:
-    """Return the state at the end, from x at t."""
+    """Return the state at time ``end``, by steps from x at t."""
     kind, ahead = run.system.kind, 1.0 if end > t else -1.0
     by_motion = run.control.get("h") == "reversible"  # whose first step is found by itself
     slack = 4 * np.spacing(max(abs(t), abs(end)))  # so near a change is at t, or at the end

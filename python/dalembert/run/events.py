@@ -1,4 +1,4 @@
-"""Events of a run: where a function of the state changes its sign."""
+"""Events of a run: sign changes of a function of the state."""
 
 from __future__ import annotations
 
@@ -20,29 +20,31 @@ CONSISTENCY = {"check": lib.DAL_CHECK, "project": lib.DAL_PROJECT, "assume": lib
 
 @dataclass(frozen=True)
 class Event:
-    """Where a function g of the state changes its sign, and what then happens.
+    """A sign change of a function g of the state, and its consequences.
 
-    Its place is found by a step of the scheme from the last state, so that the state lies in D to
-    roundoff and has the order of the scheme.  A change of sign from one step to the next is found,
-    and also two of them within a step where g falls towards zero at its beginning and rises at its
-    end.  A state with g = 0 counts when it is reached, and not when it is left.
+    A step of the scheme leads from the last state to the event.  So its state lies in D to roundoff
+    and has the order of the scheme.  A sign change from one step to the next is detected.  Two sign
+    changes within a step are detected if g moves towards zero at its beginning and away from zero
+    at its end.  A state with g = 0 counts when it is reached, not when it is left.
 
     Parameters
     ----------
     g : callable or sympy.Expr
-        ``g(t, q, v) -> float``, a number that changes its sign where the event is, as q[0] - 1,
-        and no condition as q[0] > 1; or an expression in coordinates, velocities, parameters and
-        the time, which is compiled.
+        ``g(t, q, v) -> float``, a number that changes sign at the event, such as q[0] - 1, not a
+        condition such as q[0] > 1. An expression in coordinates, velocities, parameters and the
+        time is compiled.
     direction : float, optional
-        > 0: only where g grows along the run; < 0: where it falls; 0: both.
+        Positive: only if g increases along the run; negative: only if g decreases; 0 (default):
+        both.
     terminal : bool or int, optional
-        The run ends at this event: at the first, or at the one of this number.
+        True: the first occurrence ends the run.  A number k: the k-th occurrence does.
     reset : callable or mapping, optional
-        ``reset(q, v) -> (q, v)``, or ``{x.d: -x.d / 2, ...}``, expressions of coordinates and
-        velocities that change, which are compiled: the state from which the run continues.  The
-        event that ends the run has no reset.
+        The state from which the run continues: ``reset(q, v) -> (q, v)``, or a mapping from the
+        coordinates and velocities that change to expressions, ``{x.d: -x.d / 2, ...}``, which are
+        compiled.  An event that ends the run is not reset.
     consistent : {"check", "project", "assume"}, optional
-        A state of ``reset`` that is not in D is refused, projected in the mass metric, or used.
+        The treatment of a state of ``reset`` that violates the constraint: raise an error
+        (default), project its velocity, or use it.
 
     Examples
     --------
@@ -62,7 +64,7 @@ class Event:
 
 @dataclass
 class Happened:
-    """What happened in a run, in the order of time."""
+    """The events of a run, in the order of time."""
 
     count: int
     events: list[int] = field(default_factory=list)
@@ -71,7 +73,7 @@ class Happened:
     after: list[Array | None] = field(default_factory=list)
 
     def add(self, number: int, t: float, x: Array, after: Array | None) -> None:
-        """Take one more."""
+        """Append an event."""
         self.events.append(number)
         self.t.append(t)
         self.x.append(x)
@@ -79,7 +81,7 @@ class Happened:
 
 
 def take(given: Any) -> list[Event]:
-    """Return what was given as events; functions may have SciPy's attributes."""
+    """Return the given events as `Event`; functions may have SciPy's attributes."""
     if given == ():
         return []
     if callable(given) or isinstance(given, Event) or is_expression(given):
@@ -112,14 +114,14 @@ def _event(one: Any, name: str) -> Event:
 
 
 def laws(system: System, one: Event, name: str) -> tuple[Any, Law | None]:
-    """Return g as named expressions, and the reset as a law; None for what is not one."""
+    """Return g as named expressions and the reset as a law; None if one is not an expression."""
     g = ((name, one.g),) if is_expression(one.g) else None
     is_mapping = isinstance(one.reset, Mapping)
     return g, reset_of(system, one.reset, name) if is_mapping else None
 
 
 def is_in_c(system: System, one: Event, name: str = "event") -> bool:
-    """Return whether C looks for an event, and resets the state, without Python."""
+    """Return whether C detects an event and resets the state without Python."""
     g, reset = laws(system, one, name)
     if g is None or (one.reset is not None and reset is None):
         return False
@@ -127,7 +129,7 @@ def is_in_c(system: System, one: Event, name: str = "event") -> bool:
 
 
 class Watch:
-    """The events of a run in C, and the times that are asked for."""
+    """The events and output times of a run in C."""
 
     def __init__(
         self,
@@ -164,7 +166,7 @@ class Watch:
         events: Sequence[Event],
         times: Array | None,
     ) -> Watch | None:
-        """Return what looks at a run; None where there is nothing to look at."""
+        """Return the watch of a run; None without events and output times."""
         needed = events or times is not None
         return cls(system, stepper, scheme, events, times) if needed else None
 
@@ -189,7 +191,7 @@ class Watch:
             row.reset, row.reset_ctx = lib.dal_py_reset, context
 
     def join(self, run: Any) -> None:
-        """Have a ``dal_run`` look at them."""
+        """Connect the watch with a ``dal_run``."""
         run.events, run.happened, run.happened_ctx = self.handle, lib.dal_py_happened, self.context
         if self.times is not None:
             run.times, run.time_count = core.pointer(self.times), len(self.times)
@@ -197,11 +199,11 @@ class Watch:
 
     @property
     def last(self) -> int:
-        """The event that happened last."""
+        """Number of the last event."""
         return self.happened.events[-1]
 
     def doubts(self) -> Iterator[str]:
-        """Say what could not be told."""
+        """Yield messages about events that could not be decided."""
         if not self.events:
             return
         number, t, g = ffi.new("size_t *"), ffi.new("double *"), ffi.new("double *")

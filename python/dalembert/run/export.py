@@ -15,8 +15,8 @@ from .solution import Solution
 def columns(run: Solution) -> tuple[list[tuple[str, str]], Array]:
     """Return columns: time, coordinates, velocities, multipliers, energy, residual.
 
-    Of each its name, and of what it is.  The two differ by a "_" behind the name where a coordinate
-    is called so.
+    Each column has a name and the name of its quantity.  The first has an additional "_" if a
+    coordinate has the same name.
     """
     names = run.system.coordinates
     quantities = ["t", *names, *(f"v_{name}" for name in names)]
@@ -32,12 +32,11 @@ def columns(run: Solution) -> tuple[list[tuple[str, str]], Array]:
 
 
 def to_pandas(run: Solution) -> Any:
-    """Return the states as a ``pandas.DataFrame``, a row for each, with the time as its index.
+    """Return the states as a ``pandas.DataFrame``, one row for each, with the time as index.
 
-    Columns: the coordinates, their velocities ``v_...``, the multipliers ``lambda_0`` and so
-    on, energy and residual.  A name that is also a coordinate's has a "_" behind it: the energy is
-    ``energy_`` if a coordinate is called "energy".  Its ``attrs["units"]`` has the units that are
-    known, by column.
+    Columns: the coordinates, their velocities ``v_...``, the multipliers ``lambda_0`` and so on,
+    energy and residual.  If a coordinate has the same name as a quantity, the latter gets a "_", as
+    in ``energy_``.  ``attrs["units"]`` has the known units by column.
 
     Raises
     ------
@@ -62,19 +61,19 @@ def to_pandas(run: Solution) -> Any:
 def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
     """Return the run as an ``xarray.Dataset``.
 
-    Dimensions: time, coordinate, form (one for each constraint), interval (the middles of the
-    intervals between stored states); input and hold, where the run has inputs.
+    The dimensions are time, coordinate, form (one for each constraint), and interval (the middles
+    of the intervals between stored states).  A run with inputs also has input and hold.
 
     Parameters
     ----------
     units : mapping, optional
-        As for `System`, instead of those of the system: that of the time and that of the energy
-        become their attribute ``units``, the others the coordinate ``unit`` of the coordinates.
+        Units as for `System`; default: the units of the system.  The units of time and energy
+        become their attribute ``units``, the others the coordinate ``unit``.
 
     Raises
     ------
     ImportError
-        If xarray is not installed; the text is the line to type.
+        If xarray is not installed.  The message has the command that installs it.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The journal of a run: a file that survives the death of its process."""
+"""The journal of a run: a file from which an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _CLOSE = 1e-6  # of the field that another machine computes, relative to its lar
 def describe(
     system: System, scheme: Scheme, run: Run, max_iterations: int, energy: str | None
 ) -> dict[str, Any]:
-    """Return what makes a run again, or tells whether another is the same, for JSON."""
+    """Return data for JSON that define a run, to repeat it or compare it with another."""
     times = None if run.watch is None else run.watch.times
     return {
         "dalembert": core.version(),
@@ -53,7 +53,7 @@ def describe(
 
 
 def of_system(system: System, x: Array, t: float) -> dict[str, Any]:
-    """Return what tells a system from others, for JSON: by what it says, and by the field at x."""
+    """Return data for JSON that identify a system: its definition, and the field at x."""
     try:
         field = geometry.field(system, *np.split(x, 2), t=t).tolist()
     except (DalembertError, ValueError):
@@ -73,7 +73,7 @@ def of_system(system: System, x: Array, t: float) -> dict[str, Any]:
 
 
 def require_same(system: System | None, about: Mapping[str, Any], path: str) -> System:
-    """Return the system of a file: the one that is given, or of the library; ValueError if not."""
+    """Return the given system, or one of the library; ValueError if it is not that of a file."""
     name, parameters = about["name"], about["parameters"]
     if system is None and about["of_library"]:
         system = systems.get(name, **parameters)
@@ -107,7 +107,7 @@ def require_same(system: System | None, about: Mapping[str, Any], path: str) -> 
 
 
 def _shown(law: Mapping[str, Any] | None) -> str:
-    """Return the expressions of inputs in words."""
+    """Return the expressions of inputs as text."""
     if law is None:
         return "no expressions"
     return ", ".join(f"{name} = {shown}" for name, shown in law["shown"].items())
@@ -123,9 +123,9 @@ class Journal:
     ----------
     path : str
     info : cdata
-        The ``dal_journal_info`` of when it was opened.
+        The ``dal_journal_info`` at the time of opening.
     about : dict
-        What `describe` has returned.
+        The result of `describe`.
     """
 
     def __init__(self, path: str, handle: Any, goes_on: bool) -> None:
@@ -145,7 +145,7 @@ class Journal:
     def create(
         cls, path: Any, run: Run, scheme: Scheme, about: dict[str, Any], errors: str | None
     ) -> Journal:
-        """Return the new journal of a run that has not begun."""
+        """Create the journal of a run that has not begun."""
         goes_on = _goes_on(errors)
         text = json.dumps(about).encode()
         record, kept = scheme._record_of(run.system)
@@ -163,7 +163,7 @@ class Journal:
 
     @classmethod
     def open(cls, path: Any, *, writes: bool = False, errors: str | None = None) -> Journal:
-        """Return a journal that is there; a warning says if its end is damaged."""
+        """Open an existing journal; warn if its end is damaged."""
         goes_on = _goes_on(errors)
         name = _name(path)
         os.stat(name)  # an OSError of the usual kind, if it is not there
@@ -179,11 +179,11 @@ class Journal:
         return journal
 
     def system(self, given: System | None) -> System:
-        """Return the system of the run: the one that is given, or of the library."""
+        """Return the system of the run: the given one, or one of the library."""
         return require_same(given, self.about["system"], self.path)
 
     def scheme(self, given: Scheme | None = None) -> Scheme:
-        """Return the scheme of the run; C looks whether it is the one."""
+        """Return the scheme of the run; C checks the given one."""
         if given is not None:
             return Scheme.of(given)
         if self.about["scheme"] is None:
@@ -208,7 +208,7 @@ class Journal:
         return None if text is None else np.frombuffer(base64.b64decode(text)).copy()
 
     def steps(self, t_end: float | None = None, steps: int | None = None) -> Steps:
-        """Return the steps of the run, to another end if there is one."""
+        """Return the steps of the run, to a new end if given."""
         t0, h, about = float(self.info.t0), float(self.info.h), self.about
         if about["control"]:
             end = about["t_end"] if t_end is None else arguments.number(t_end, "t_end")
@@ -219,7 +219,7 @@ class Journal:
         return Steps(t0, t0 + count * h, h, count, {})
 
     def resume(self, run: Run) -> None:
-        """Bring a run to where the last snapshot has left it."""
+        """Set a run to the state of the last snapshot."""
         if run.steps.varies:
             run.make_room(int(self.info.records) + 1)
         run.x[0] = self.about["system"]["state"]  # of output times, C has no rows
@@ -229,7 +229,7 @@ class Journal:
         run.journal = self
 
     def tell(self) -> None:
-        """Warn, once, that the run goes on and the file is no longer written."""
+        """Warn, once, that the file is no longer written while the run continues."""
         error = lib.dal_journal_error(self._handle)
         if self._tells and error.status == lib.DAL_EIO:
             self._tells = False
@@ -239,7 +239,7 @@ class Journal:
             )  # fmt: skip
 
     def close(self, run: Any = None, saves: bool = False) -> None:
-        """Write what is left, and a snapshot if it is wanted, and let others write."""
+        """Write pending records, and a snapshot if ``saves``, and let others write."""
         if saves:
             lib.dal_journal_save(run)
         if run is not None:
@@ -249,7 +249,7 @@ class Journal:
     # ---- what it holds -----------------------------------------------------------------------
 
     def records(self) -> Any:
-        """Return the records, mapped from the file."""
+        """Return the records, memory-mapped."""
         info = self.info
         fields = [
             ("checksum", "u4"), ("kind", "u4"), ("number", "u8"), ("step", "u8"), ("t", "f8"),
@@ -262,7 +262,7 @@ class Journal:
         return np.memmap(self.path, kind, "r", int(info.begin), (count,))
 
     def solution(self, system: System | None, scheme: Scheme | None) -> Solution:
-        """Return the run as far as it is in the file, whose states stay there."""
+        """Return the run so far; its states stay in the file."""
         system, scheme, info = self.system(system), self.scheme(scheme), self.info
         steps, stride = self.steps(), int(info.stride)
         t0, h = steps.t0, steps.h
@@ -305,7 +305,7 @@ class Journal:
         )  # fmt: skip
 
     def _inputs(self, rows: Any, done: int, steps: Steps) -> Array:
-        """Return the rows of inputs of so many steps, as far as they are there."""
+        """Return the available rows of inputs for so many steps."""
         info = self.info
         if info.inputs == 0:
             return np.zeros((0, len(self.about["system"]["inputs"])))
@@ -324,7 +324,7 @@ class Journal:
         return np.array(rows["input"][row[there], place])
 
     def _events(self, records: Any) -> tuple[Happened, int]:
-        """Return what happened, as `split` takes it."""
+        """Return the events in the form that `split` expects."""
         found = Happened(int(self.info.events))
         of_event = np.flatnonzero(records["kind"] >= lib.DAL_RECORD_EVENT)
         for one in records[of_event]:
@@ -337,12 +337,12 @@ class Journal:
 
 
 def _goes_on(errors: str | None) -> int:
-    """Return whether a run continues when its journal cannot be written, as it does by default."""
+    """Return whether a run continues if its journal cannot be written, as by default."""
     return 1 if errors is None else arguments.choice(errors, "journal_errors", ERRORS)
 
 
 def _name(path: Any) -> str | bytes:
-    """Return the name of a file; ValueError if C would take a part of it for the name."""
+    """Return the name of a file; raise ValueError if C would truncate it."""
     name: str | bytes = os.fspath(path)
     if not name or b"\0" in os.fsencode(name):
         raise ValueError(f"journal = {name!r}: expected the name of a file")
@@ -350,6 +350,6 @@ def _name(path: Any) -> str | bytes:
 
 
 def is_journal(path: Path) -> bool:
-    """Return whether a file begins as a journal does."""
+    """Return whether a file begins like a journal."""
     with open(path, "rb") as file:
         return file.read(6) == b"dalrun"

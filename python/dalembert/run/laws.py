@@ -1,4 +1,4 @@
-"""Expressions of the state as C calls them: as events, resets, and the inputs of a run."""
+"""Expressions of the state that C evaluates: events, resets, and the inputs of a run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Named = tuple[tuple[str, Any], ...]  # expressions, with names for messages
 
 
 def is_expression(value: Any) -> bool:
-    """Return whether it is of SymPy, which need not be there."""
+    """Return whether a value is a SymPy expression, without importing SymPy."""
     return hasattr(value, "free_symbols")
 
 
@@ -26,7 +26,7 @@ def _made(system: System, expressions: Named) -> tuple[Any, Any, Any]:
 
 
 def values(system: System, expressions: Named) -> tuple[Any, Any, Any]:
-    """Return a ``dal_invariant_fn`` of expressions, its context, and what has to be kept alive."""
+    """Return a ``dal_invariant_fn`` of expressions, its context, and the objects to keep alive."""
     address, kept, function = _made(system, expressions)
     if function is None:
         return ffi.cast("dal_invariant_fn", address), kept[0], kept
@@ -47,11 +47,11 @@ class Law:
     expressions: Named
 
     def is_compiled(self, system: System) -> bool:
-        """Return whether C evaluates it without Python."""
+        """Return whether C evaluates the law without Python."""
         return are_compiled(system, self.expressions)
 
     def in_c(self, system: System) -> tuple[Any, Any]:
-        """Return the ``dal_law *``, with the parameters of a system, and what keeps it alive."""
+        """Return the ``dal_law *`` with the parameters of a system, and objects to keep alive."""
         function, context, kept = values(system, self.expressions)
         scratch = ffi.new("double[]", len(self.expressions))
         law = ffi.new("dal_law *", {"values": function, "count": len(self.expressions),
@@ -59,7 +59,7 @@ class Law:
         return law, (kept, scratch)
 
     def about(self, system: System) -> dict[str, Any]:
-        """Return what tells it from others, for JSON: a digest; and in words."""
+        """Return data for JSON that identify the law: a digest, and its text."""
         shown = {name: str(expression) for name, expression in self.expressions}
         return {"key": event.model(system, self.expressions).key, "shown": shown}
 
@@ -68,14 +68,14 @@ Inputs = Any  # rows, or what makes them: Law | Callable[..., Any]
 
 
 def take_inputs(system: System, given: Any) -> Inputs:
-    """Return inputs as a `Law`, if a mapping has expressions; else as they are."""
+    """Return inputs as a `Law` if a mapping has expressions, else unchanged."""
     if isinstance(given, Mapping) and any(map(is_expression, given.values())):
         return Law(tuple(event.inputs(system, given)))
     return given
 
 
 def is_control(inputs: Inputs) -> bool:
-    """Return whether the rows of inputs are made where they begin."""
+    """Return whether the rows of inputs are computed during the run."""
     return callable(inputs) or isinstance(inputs, Law)
 
 

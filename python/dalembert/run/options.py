@@ -1,4 +1,4 @@
-"""Which options apply to which kind of run: one table, for all that make runs."""
+"""The table of options that apply to each kind of run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WORDS = ("auto", "reversible")  # what h may be instead of a number
 
 
 class Kind(NamedTuple):
-    """A kind of run: what asks for it, in words, and the options that apply to it."""
+    """A kind of run: the words that describe it, and the options that apply to it."""
 
     asked_by: str
     options: frozenset[str]
@@ -41,7 +41,7 @@ _NEEDS = {"hold": "inputs", "journal_errors": "journal"}
 
 
 def word_of(h: Any) -> str | None:
-    """Return the word that is given for a step size, None for a number."""
+    """Return the word given for a step size, None for a number."""
     if not isinstance(h, str):
         return None
     if h not in WORDS:
@@ -53,7 +53,7 @@ def word_of(h: Any) -> str | None:
 
 
 def kind_of(scheme: Scheme, word: str | None = None, method: Any = None) -> str:
-    """Return the kind of a run by a scheme; ValueError where the word for h has none."""
+    """Return the kind of a run by a scheme; raise ValueError if the word for h is unknown."""
     if word is not None and (scheme.is_reference or scheme.nodes == "kept"):
         flow = scheme.is_reference
         why = "chooses its own steps" if flow else "has kept nodes: D_eps depends on h"
@@ -66,9 +66,9 @@ def kind_of(scheme: Scheme, word: str | None = None, method: Any = None) -> str:
 
 
 def require(kind: str, **given: Any) -> None:
-    """Raise ValueError for an option that is given and has no effect on a run of this kind.
+    """Raise ValueError for a given option that has no effect on a run of this kind.
 
-    None, and an empty sequence, are as good as nothing.
+    None and an empty sequence count as not given.
     """
     there = {name: value for name, value in given.items() if not _is_nothing(value)}
     for name, value in there.items():

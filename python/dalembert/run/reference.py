@@ -27,8 +27,8 @@ class Reference(NamedTuple):
     ----------
     q, v : ndarray, shape (n,)
     accuracy : float
-        Estimate of the error, the largest component of the difference to the result at a
-        tolerance ten times as large.
+        Estimate of the error: the largest component of the difference to the result with ten times
+        the tolerance.
     """
 
     q: Array
@@ -54,22 +54,22 @@ def reference(
     ----------
     system : System
     q0, v0 : array_like, shape (n,), optional
-        State at t0 in the user's units, both; neither: the system's.
+        State at t0 in the user's units; pass both or neither.  Default: the system's initial data.
     t, t0 : float, optional
         Times; ``t < t0`` is allowed.
     consistent : {"check", "project", "assume"}, optional
-        As in `integrate`.
+        As for `integrate`.
     method : {"rk8pd", "msadams", "rodas", "taylor"}, optional
-        Prince-Dormand 8(7), Adams, a Rosenbrock method for stiff potentials; or Taylor series, as
-        in `integrate`, in the coordinates x.
+        Prince-Dormand 8(7) (default), Adams, a Rosenbrock method for stiff potentials, or Taylor
+        series as for `integrate`, in the coordinates x.
     tolerance : float, optional
-        Relative and absolute, for each step, in [4.4e-16, 0.1]. Where the roundoff of the field
-        is larger, a step may have an error of that size.
+        Relative and absolute tolerance of each step, in [4.4e-16, 0.1].  If the roundoff of the
+        field is larger, a step may have an error of that size.
     coordinates : {"x", "xi"}, optional
-        Of the ODE: the states (q, v), or those of charts of D (`Chart`), which are changed on the
-        way where they become ill conditioned.
+        Variables of the ODE: the states (q, v), or coordinates xi of charts of D (`Chart`).  A
+        chart is replaced when it becomes ill conditioned.
     inputs : array_like, shape (k,), or mapping, optional
-        Those of all the time; default: zeros.  Not with Taylor series.
+        Constant inputs; default 0. Not with Taylor series.
 
     Returns
     -------
@@ -78,7 +78,8 @@ def reference(
     Warns
     -----
     DalembertWarning
-        If the constraints nearly lose rank on the way, in the coordinates x (not by "taylor").
+        If the constraints nearly lose rank during the motion, in the coordinates x (not with
+        "taylor").
 
     Raises
     ------
@@ -87,7 +88,7 @@ def reference(
     NotOnConstraintError
         If the initial data are not in D.
     SingularError, ConvergenceError, DomainError
-        If the flow could not go on.
+        If the flow could not be continued.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Runs in the making: pieces of steps, between which Python sees Ctrl-C and shows the progress."""
+"""Execution of runs in pieces of steps; between them Python notices Ctrl-C and shows progress."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _KINDS, _SIZE = 16, 64  # of steppers that are kept: kinds of a system, and its 
 
 
 def idle_steppers(system: System, scheme: Scheme, options: Any) -> list[Any]:
-    """Return the steppers of such runs that nobody uses: to make one may take as long as a run.
+    """Return cached idle steppers; creating one can cost as much as a short run.
 
-    A start leaves nothing in them of the run before, but for inputs.
+    A start resets everything in them except the inputs.
     """
     if system.n + system.m > _SIZE or system.inputs or scheme._maps is not None:
         return []
@@ -55,9 +55,9 @@ def started_stepper(
     idle: list[Any] | None = None,
     inputs: Array | None = None,
 ) -> Any:
-    """Return a ``dal_stepper``, of idle ones if possible, at initial data that C has checked.
+    """Return a ``dal_stepper``, if possible an idle one, started from initial data that C checked.
 
-    ``inputs``: those at the start, for constraints that depend on them; None: zeros.
+    ``inputs`` are the initial inputs, for constraints that depend on them; None: zeros.
     """
     try:
         stepper = (idle or []).pop()
@@ -78,7 +78,7 @@ def started_stepper(
 
 
 def of_inputs(system: System, inputs: Array | None) -> str:
-    """Return which D is meant at the start, where it depends on inputs."""
+    """Return words for the D at the start, if D depends on inputs."""
     values = np.zeros(len(system.inputs)) if inputs is None else inputs
     first = ", ".join(f"{name} = {u:g}" for name, u in zip(system.inputs, values))
     return f"; D is that of the first inputs, {first}"
@@ -87,7 +87,7 @@ def of_inputs(system: System, inputs: Array | None) -> str:
 def consistent_state(
     system: System, x0: Array, t0: float, consistency: int, inputs: Array | None = None
 ) -> Array:
-    """Return what every scheme would start from, shape (2n,)."""
+    """Return the state from which every scheme would start, shape (2n,)."""
     scheme = Scheme.find("explicit")
     stepper = started_stepper(
         system, scheme, x0, t0=t0, h=1.0, consistency=consistency, inputs=inputs
@@ -96,7 +96,7 @@ def consistent_state(
 
 
 class Run:
-    """A run in the making: its buffers, how many rows of them are good, and why it ended."""
+    """A run in execution: its buffers, the number of valid rows, and the reason of its end."""
 
     def __init__(
         self,
@@ -152,9 +152,9 @@ class Run:
             watch.join(run)
 
     def make_room(self, rows: int) -> None:
-        """Have C store up to so many rows, where nobody knows how many there will be.
+        """Provide room in C for so many rows, if their number is not known in advance.
 
-        A run of output times has none but the first.
+        A run with output times has only the first row.
         """
         if self.timed or rows <= len(self.x):
             return
@@ -168,7 +168,7 @@ class Run:
         self._allocate(rows, (self.x, self.reactions, self.times))
 
     def _allocate(self, rows: int, stored: Sequence[Array] = ()) -> None:
-        """Give C arrays of so many rows, which begin with those that are stored."""
+        """Allocate arrays of so many rows for C, which begin with the stored rows."""
         run, system = self.run, self.system
         arrays = (
             np.empty((rows, 2 * system.n)), np.empty((rows - 1, system.m)),
@@ -182,7 +182,7 @@ class Run:
             run.row_times = core.pointer(self.times) if self.varies else ffi.NULL
 
     def _call_back(self, observer: Any, inputs: Any) -> None:
-        """Have C call an observer, or a controller."""
+        """Connect an observer, or a controller, with C."""
         system, run = self.system, self.run
         self.callables = core.Callables(
             system.n, system.m, len(system.inputs), observer=observer, control=inputs,
@@ -195,7 +195,7 @@ class Run:
             run.control = lib.dal_py_control
 
     def make(self) -> None:
-        """Make the run; if it does not go through, ``status`` and ``error`` say why."""
+        """Execute the run; after a failure ``status`` and ``error`` have the reason."""
         interrupted = False  # between two calls of C
         run, piece = self.run, 1  # nobody knows how long a step takes
         if not self.system._source.calls_python:
@@ -233,7 +233,7 @@ class Run:
             self.error = core.failure(self.status, message, step=int(run.done), t=t)
 
     def _suspects(self, t: float) -> str:
-        """Return what may keep steps from t on from converging: where C is singular, or jumps."""
+        """Return possible causes why steps from t on do not converge: singular points and jumps."""
         system, found = self.system, ""
         stats = Statistics._of(counts_of(self.stepper), system.kind)
         if stats.rank_doubts:
@@ -248,7 +248,7 @@ class Run:
 
     @property
     def is_over(self) -> bool:
-        """Whether all its steps are made."""
+        """Whether all steps have been taken."""
         if self.varies:
             return bool(lib.dal_stepper_time(self.stepper) == self.steps.t_end)
         return bool(self.run.done == self.run.steps)
@@ -265,9 +265,9 @@ class Run:
             self.show(abs(lib.dal_stepper_time(self.stepper) - self.t0) if self.varies else done)
 
     def _at_times(self) -> tuple[Array, Array]:
-        """Return the states at output times, and where an event has ended the run.
+        """Return the states at output times, and at a terminal event.
 
-        If it has come to none of them, that of the start.
+        If the run reached none of them, the initial state.
         """
         run, watch = self.run, self.watch
         assert watch is not None
@@ -280,7 +280,7 @@ class Run:
         return (x, times) if len(x) else (self.x[:], np.array([self.t0]))
 
     def solution(self) -> Solution:
-        """Return the rows that are good."""
+        """Return the solution with the valid rows."""
         run, rows = self.run, max(int(self.run.stored), 1)
         t = self.t0 + (rows - 1) * int(run.stride) * self.h
         rows = min(rows, len(self.x))  # that of output times has none
@@ -323,28 +323,28 @@ class Run:
 
 
 def _within(show: Show, steps: Steps) -> Callable[[float], None]:
-    """Return what shows how far a step that takes long has come, and lets Ctrl-C be seen."""
+    """Return a function that shows the progress within a long step, and lets Ctrl-C through."""
     if steps.varies:
         return lambda t: show(abs(t - steps.t0))
     return lambda t: show(min((t - steps.t0) / steps.h, steps.count))
 
 
 def _end(x: Array, n: int, shift: float) -> Array:
-    """Return a state of the moved nodes as one of the set that the scheme keeps."""
+    """Return a state of the moved nodes as one of the set that the scheme preserves."""
     return np.concatenate([x[:n] + shift * x[n:], x[n:]])
 
 
 def one_row(value: Any, names: tuple[str, ...]) -> Array:
-    """Return inputs as an array of k numbers, of a single one also from the number itself."""
+    """Return inputs as an array of k numbers; a single input may be given as a number."""
     if value is None:
         raise ValueError(f"inputs has to return shape ({len(names)},), it returned None")
     return arguments.inputs(value, names, 1)[0]
 
 
 def first_inputs(system: System, inputs: Any, holds: int, x0: Array, t0: float) -> Array | None:
-    """Return the inputs of the first step, in whose D the initial data have to lie.
+    """Return the inputs of the first step, which determine the D of the initial data.
 
-    None if D does not depend on inputs, or there are none.
+    None if D does not depend on inputs, or there are no inputs.
     """
     if not system.is_driven or inputs is None:
         return None
@@ -362,7 +362,7 @@ def first_inputs(system: System, inputs: Any, holds: int, x0: Array, t0: float) 
 def _input_buffer(
     system: System, holds: int, given: Array | Callable[..., Any] | None
 ) -> Array | None:
-    """Return the rows of inputs that C reads, or that a controller is to fill."""
+    """Return the rows of inputs that C reads, or that a controller fills."""
     if given is None:
         return None
     if not is_control(given):

@@ -1,4 +1,4 @@
-"""Schemes as records: beta-schemes one after the other, or what another family needs."""
+"""Schemes: compositions of beta-schemes, or data of another family."""
 
 from __future__ import annotations
 
@@ -30,29 +30,29 @@ INITIAL = {
 
 @dataclass(frozen=True, repr=False)
 class Scheme:
-    """A scheme as a record: beta-schemes one after the other, each over a fraction of the step.
+    """A scheme: a composition of beta-schemes, each over a fraction of the step.
 
     Parameters
     ----------
     substeps : sequence of (beta, fraction)
         beta in [0, 1]; the fractions are not 0 and sum to 1.
     nodes : {"moved", "kept"}, optional
-        Where the states are: "moved" nodes (1 - beta) q_{k-1} + beta q_k keep D; "kept" nodes q_k
-        keep D_eps = {mu(q - (1 - beta) h v) v = 0} and need a single sub-step.
+        The positions of the states.  "moved" nodes (1 - beta) q_{k-1} + beta q_k preserve D. "kept"
+        nodes q_k preserve D_eps = {mu(q - (1 - beta) h v) v = 0} and require a single sub-step.
     name : str, optional
-        At most 39 bytes.
+        A name of at most 39 bytes; default "own".
     help, reference : str, optional
-        One line about the scheme, and where it comes from.
+        A description of one line, and the source in the literature.
     order, multiplier_order : int, optional
-        What is promised, (p, s): local errors O(h^(p+1)) of q and v and O(h^(s+1)) of the scheme's
-        own multipliers.  order 0: nothing is promised.
+        The promised orders (p, s): local errors O(h^(p+1)) of q and v, and O(h^(s+1)) of the
+        scheme's own multipliers.  Order 0 promises nothing.
     symmetric : bool, optional
         True if the scheme is its own adjoint on D.
 
     Raises
     ------
     ValueError
-        If the record is not valid; the text says what.
+        If an argument is invalid.  The message names it.
 
     Examples
     --------
@@ -120,12 +120,12 @@ class Scheme:
             "leapfrog-mirror"; with "-nodes" for kept nodes; "leapfrog" and "midpoint" with
             "-suzuki4", "-yoshida4", "-kl6", "-kl8", "-ss10"; "bm4", "bm6"; "pair:A:B", see `pair`;
             "reference", the adaptive flow of the ODE on D; or ``"FILE:SYMBOL"``, see
-            `from_library`.  ``-`` and ``_`` are the same.
+            `from_library`.  ``-`` and ``_`` are equivalent.
 
         Raises
         ------
         ValueError
-            If there is no such scheme; the text lists what there is.
+            If there is no such scheme.  The message lists the names.
 
         Examples
         --------
@@ -139,7 +139,7 @@ class Scheme:
     @classmethod
     @functools.lru_cache(maxsize=256)
     def _named(cls, name: str) -> Scheme:
-        """Return the scheme of a name: a record does not change, so that it is found once."""
+        """Return the scheme of a name, cached because schemes are immutable."""
         record = ffi.new("dal_scheme *")
         error = ffi.new("dal_error *")
         status = lib.dal_scheme_find(record, name.encode(), error)
@@ -155,8 +155,8 @@ class Scheme:
         Parameters
         ----------
         lagrangian, constraint : float or DifferenceMap, optional
-            rho for L_d and rho' for D_d; a number is the beta of rho^beta.  constraint None: the
-            same.  The steps are those of `Discrete.advance`.
+            The maps rho for L_d and rho' for D_d; a number is the beta of rho^beta.  The default of
+            ``constraint`` is the map ``lagrangian``.  The steps are those of `Discrete.advance`.
 
         Examples
         --------
@@ -181,7 +181,7 @@ class Scheme:
 
     @classmethod
     def flow(cls, method: str = "rk8pd", tolerance: float = 1e-13) -> Scheme:
-        """Return the scheme "reference" with a method and a tolerance, as of `integrate`."""
+        """Return the scheme "reference" with a method and a tolerance, as for `integrate`."""
         number = arguments.choice(method, "method", METHODS)
         return cls._flow(method, number, arguments.tolerance(tolerance))
 
@@ -195,10 +195,10 @@ class Scheme:
 
     @classmethod
     def from_library(cls, path: str, symbol: str) -> Scheme:
-        """Return the ``dal_scheme`` called ``symbol`` of a shared library, with its own family.
+        """Return the ``dal_scheme`` called ``symbol`` in a shared library, with its own family.
 
-        The library is compiled with ``dalembert/family.h``, and linked to a libdalembert of this
-        version if it calls that.  `find` knows the scheme as "path:symbol".
+        Compile the library with ``dalembert/family.h``.  If it calls libdalembert, link it with
+        this version.  `find` accepts the scheme as "path:symbol".
 
         Raises
         ------
@@ -223,7 +223,7 @@ class Scheme:
 
     @classmethod
     def of(cls, value: Scheme | str | float) -> Scheme:
-        """Return a scheme that is given as itself, by its name, or by its beta."""
+        """Return a scheme given as an object, by its name, or by its beta."""
         if isinstance(value, Scheme):
             return value
         if isinstance(value, str):
@@ -248,12 +248,12 @@ class Scheme:
 
     @classmethod
     def usual(cls, system: System, word: str | None = None) -> Scheme:
-        """Return the scheme of a run that names none, for a number or a word for its steps.
+        """Return the default scheme of a run with a number or a word for its step size.
 
-        Of order 2 it is the one whose steps cost least on the system: "leapfrog", whose two
-        sub-steps are solved at once; or "midpoint" where they would be solved one after the other,
-        if the mass matrix depends on q, the constraints are affine or nonlinear, or a force depends
-        on v.  For "auto" it is the composition of order 8 of that scheme, for "reversible" "bm6".
+        For a number it is the scheme of order 2 with the cheapest steps.  It is "midpoint" if the
+        mass matrix depends on q, the constraints are affine or nonlinear, or a force depends on v.
+        Otherwise it is "leapfrog", which then solves its two sub-steps at once.  For "auto" it is
+        the composition of order 8 of that scheme, for "reversible" "bm6".
         """
         if word == "reversible":
             return cls.find("bm6")
@@ -262,7 +262,7 @@ class Scheme:
 
     @classmethod
     def _read(cls, record: Any, source: tuple[Any, ...], kept: Any = None) -> Scheme:
-        """Return the scheme of a ``dal_scheme``, which ``source`` would give again."""
+        """Return the scheme of a ``dal_scheme``, which ``source`` would create again."""
         given = {
             "nodes": "kept" if record.nodes == lib.DAL_KEPT_NODES else "moved",
             **{key: core.string(getattr(record, key)) for key in ("name", "help", "reference")},
@@ -278,13 +278,13 @@ class Scheme:
         return self
 
     def _set(self, **values: Any) -> None:
-        """Set what does not change, once."""
+        """Set attributes of this immutable object during its creation."""
         for key, value in values.items():
             object.__setattr__(self, key, value)
 
     @property
     def family(self) -> str:
-        """What makes the steps: "beta", "pair", "flow", or that of a library."""
+        """The family of the steps: "beta", "pair", "flow", or that of a library."""
         return core.string(lib.dal_scheme_family(self._record))
 
     @property
@@ -294,16 +294,16 @@ class Scheme:
 
     @property
     def is_series(self) -> bool:
-        """True for the reference flow by Taylor series, which C does not make."""
+        """True for the reference flow by Taylor series, which C does not compute."""
         return self._source[:2] == ("flow", "taylor")
 
     @property
     def tolerance(self) -> float | None:
-        """Of the reference flow; None for what has none."""
+        """Tolerance of the reference flow; None for other schemes."""
         return self._source[2] if self._source[:1] == ("flow",) else None
 
     def _record_of(self, system: System) -> tuple[Any, Any]:
-        """Return the ``dal_scheme`` for a system, and what it needs to stay alive."""
+        """Return the ``dal_scheme`` for a system, and the objects to keep alive."""
         if self.is_series:
             raise NotImplementedError(
                 "method = 'taylor' is of integrate and reference alone; here the reference flow "
@@ -324,7 +324,7 @@ class Scheme:
         return bool(lib.dal_scheme_is_explicit(self._record, system._handle))
 
     def shift(self, h: float) -> float:
-        """Return the shift (1 - beta) h of the D_eps that kept nodes keep.
+        """Return the shift (1 - beta) h of the D_eps that kept nodes preserve.
 
         Raises
         ------
@@ -337,7 +337,7 @@ class Scheme:
         return float(shift[0]) * arguments.number(h, "h")
 
     def _initial(self, name: str | None) -> int:
-        """Return the ``dal_initial`` of an argument ``initial``, which kept nodes need.
+        """Return the ``dal_initial`` of an argument ``initial``, which kept nodes require.
 
         Raises
         ------
@@ -354,7 +354,7 @@ class Scheme:
         return arguments.choice(name, "initial", INITIAL)
 
     def _data(self) -> Any:
-        """Return what makes the scheme again, for JSON; None if that has code in it."""
+        """Return data for JSON that define the scheme; None if it contains code."""
         constructor, *given = self._source or ("", *self.__reduce__()[1])
         if constructor == "pair":
             given = [one.beta for one in given] if self._maps is None else None
@@ -389,7 +389,7 @@ class Scheme:
 
 @functools.cache
 def _validator() -> System:
-    """Return a system on which the core can try a record: a free particle on a line."""
+    """Return a system on which C can validate a scheme: a free particle on a line."""
     return System(mass=[1.0], name="free particle")
 
 

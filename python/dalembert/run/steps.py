@@ -1,4 +1,4 @@
-"""How long the steps of a run are: all of one size, or as its error or the motion allows."""
+"""The step sizes of a run: fixed, error-controlled or reversible."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Steps:
     ----------
     t0, t_end : float
     h : float
-        Their size; NaN where each has its own.
+        Step size; NaN if it varies.
     count : int
-        How many they are, or may be.
+        Number of steps, or its limit if the size varies.
     control : dict
-        What chooses their sizes: "h", the word for it, and its numbers.  Empty for one size.
+        The control of the step size: "h", the word for it, and its numbers.  Empty for fixed size.
     """
 
     t0: float
@@ -43,7 +43,7 @@ class Steps:
     def of(
         cls, h: Any, t0: float, t_end: Any, steps: Any, tolerance: Any, h_max: Any, eps: Any
     ) -> Steps:
-        """Return the steps of arguments of `integrate`, which apply to its kind of run."""
+        """Return the steps defined by arguments of `integrate`, which apply to its kind of run."""
         if not isinstance(h, str):
             h = arguments.step_size(h, t0)
             count = number_of_steps(t0, h, t_end, steps)
@@ -67,7 +67,7 @@ class Steps:
         return cls(t0, t_end, math.nan, MOST, control)
 
     def by(self, record: Scheme) -> Steps:
-        """Return the steps by a scheme, which has an eps of its own for reversible ones."""
+        """Return the steps with the default eps of a scheme, if they are reversible."""
         if self.control.get("h") != "reversible" or "eps" in self.control:
             return self
         eps, error = ffi.new("double *"), ffi.new("dal_error *")
@@ -76,26 +76,26 @@ class Steps:
 
     @property
     def varies(self) -> bool:
-        """Whether each step has a size of its own."""
+        """Whether the step size varies."""
         return bool(self.control)
 
     @property
     def direction(self) -> float:
-        """1 where time grows along the run, else -1."""
+        """1 if time increases along the run, else -1."""
         return math.copysign(1.0, self.t_end - self.t0 if self.varies else self.h)
 
     @property
     def first(self) -> float:
-        """The h with which C starts: an infinite one has it find the first step."""
+        """The initial h for C; if it is infinite, C determines the first step."""
         return self.direction * math.inf if self.varies else self.h
 
     @property
     def how(self) -> str:
-        """How long they are, in words."""
+        """The step size, or its control, in words."""
         return how(self.h, self.control)
 
     def hold(self, given: Any, inputs: Any) -> float:
-        """Return for how many steps, or how long, a row of inputs is."""
+        """Return the number of steps, or the time, for which a row of inputs applies."""
         if not self.varies:
             return 1 if given is None else arguments.integer(given, "hold", 1)
         if given is None and is_control(inputs):
@@ -111,7 +111,7 @@ class Steps:
         return time
 
     def holds(self, hold: float) -> int:
-        """Return how many rows of inputs there are."""
+        """Return the number of rows of inputs."""
         if not self.varies:
             return -(-self.count // int(hold))
         rows = abs(self.t_end - self.t0) / hold
@@ -122,12 +122,12 @@ class Steps:
 
     @property
     def progress(self) -> tuple[Any, str]:
-        """How much there is to be done, and its unit."""
+        """The total for the progress, and its unit."""
         return (abs(self.t_end - self.t0), "t") if self.varies else (self.count, "step")
 
 
 def how(h: float, control: Mapping[str, Any]) -> str:
-    """Return how long steps are, in words."""
+    """Return the step size, or its control, in words."""
     if not control:
         return f"h = {h:g}"
     numbers = [f"{key} = {x:g}" for key, x in control.items() if key != "h"]
@@ -135,7 +135,7 @@ def how(h: float, control: Mapping[str, Any]) -> str:
 
 
 def options_of(control: Mapping[str, Any], max_iterations: Any = None, energy: Any = None) -> Any:
-    """Return the ``dal_options`` of a stepper, which nobody writes to."""
+    """Return the shared, read-only ``dal_options`` of a stepper."""
     most = ITERATIONS
     if max_iterations is not None:
         most = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
@@ -150,7 +150,7 @@ def _options(most: int, keep: int, control: tuple[tuple[str, Any], ...]) -> Any:
 
 
 def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None) -> int:
-    """Return the number of steps; h is never changed to make it an integer."""
+    """Return the number of steps; raise ValueError if it is not an integer."""
     if (t_end is None) == (steps is None):
         given = "none" if steps is None else "both"
         raise ValueError(f"t_end and steps: expected one of them, got {given}")

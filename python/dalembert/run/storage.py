@@ -1,4 +1,4 @@
-"""Runs in files: of NumPy and netCDF, both ways; as comma separated values; and journals."""
+"""Runs in files: NumPy and netCDF, both ways; comma separated values; and journals."""
 
 from __future__ import annotations
 
@@ -29,29 +29,29 @@ _NUMBERS = ("t0", "h", "stride", "hold", "control", "status", "message")
 
 
 def require_suffix(path: Path) -> None:
-    """Raise ValueError for a name that says no kind of file that can be written."""
+    """Raise ValueError if the suffix of a name is not that of a supported format."""
     if path.suffix not in SUFFIXES:
         raise ValueError(f"path = {str(path)!r}: expected a name that ends in .npz, .nc or .csv")
 
 
 def save(run: Solution, path: str | os.PathLike[str]) -> None:
-    """Write the run to a file, which appears when it is complete.
+    """Write the run to a file, completely or not at all.
 
-        ``dalembert.load`` reads ``.npz`` and ``.nc``; both hold all that the run has, and no code.
-        ``.npz`` is of NumPy; ``.nc`` is netCDF-4, with `to_xarray` in it, for xarray, h5py, Julia
-        or MATLAB; ``.csv`` has the columns of `to_pandas`.
+    ``.npz`` (NumPy) and ``.nc`` (netCDF-4) contain the complete run, without code;
+    ``dalembert.load`` reads them.  ``.nc`` contains the data of `to_xarray`, for xarray, h5py,
+    Julia or MATLAB.  ``.csv`` has the columns of `to_pandas`.
 
         Parameters
         ----------
         path : str or path
-            Its ending says what is written.
+            The file; its suffix determines the format.
 
         Raises
         ------
         ValueError
-            If it ends otherwise.
+            If the suffix is another.
         OSError
-            If it cannot be written; a file of this name is then as it was.
+            If the file cannot be written; an existing file is then unchanged.
         ImportError
             For ``.nc``, if xarray or h5netcdf is not installed.
 
@@ -61,7 +61,7 @@ def save(run: Solution, path: str | os.PathLike[str]) -> None:
         >>> import dalembert as dal
         >>> run = dal.integrate(dal.systems.particle(), h=0.1, steps=10)
         >>> run.save(os.path.join(tempfile.mkdtemp(), "run.csv"))
-        """
+    """
     target = Path(os.fsdecode(path))
     require_suffix(target)
     files.require_writable(target)
@@ -87,24 +87,24 @@ def save(run: Solution, path: str | os.PathLike[str]) -> None:
 def load(
     path: str | os.PathLike[str], system: System | None = None, scheme: Scheme | None = None
 ) -> Solution:
-    """Return the run in a file: a journal, or what `Solution.save` has written; it runs nothing.
+    """Return the run in a file of `Solution.save` or in a journal, without computing anything.
 
-    The states of a journal stay in the file and are mapped from there.
+    The states of a journal are memory-mapped.
 
     Parameters
     ----------
     path : str or path
     system : System, optional
-        That of the run; not needed for one that comes with the library.
+        The system of the run; not needed if it comes with the library.
     scheme : Scheme, optional
-        That of the run; needed if it has code in it, as maps of one's own.
+        The scheme of the run; required if it contains code, such as your own maps.
 
     Raises
     ------
     ValueError
-        If the file is of no run, or of another system than the one given; the text says which.
+        If the file is not a run, or belongs to another system.  The message says which.
     OSError
-        If it is not there, or cannot be read.
+        If the file does not exist, or cannot be read.
 
     Warns
     -----
@@ -159,7 +159,7 @@ def load(
 
 
 def _require_netcdf() -> Any:
-    """Return xarray, where it and what it needs are installed."""
+    """Return xarray; raise ImportError unless it and its requirements are installed."""
     for module in ("h5py", "h5netcdf"):
         extras.require(module, "a file .nc")
     return extras.require("xarray", "a file .nc")
@@ -169,7 +169,7 @@ def _require_netcdf() -> Any:
 
 
 def _about(run: Solution) -> dict[str, Any]:
-    """Return what is no array, for JSON."""
+    """Return the data of a run other than arrays, for JSON."""
     return {
         "dalembert": core.version(),
         "system": of_system(run.system, run.x[0], float(run.t[0])),
@@ -181,7 +181,7 @@ def _about(run: Solution) -> dict[str, Any]:
 
 
 def _pack(run: Solution) -> dict[str, Array]:
-    """Return the arrays from which the run can be made again, and its times."""
+    """Return the arrays that define the run, and its times."""
     found = {name: getattr(run, name) for name in _ARRAYS}
     for k in range(len(run.t_events)):
         for name in ("t_events", "x_events", "x_after"):
@@ -192,7 +192,7 @@ def _pack(run: Solution) -> dict[str, Array]:
 def _unpack(
     about: dict[str, Any], arrays: dict[str, Array], system: System, scheme: Scheme
 ) -> Solution:
-    """Return the run; arrays that are missing are empty."""
+    """Return the run; missing arrays are empty."""
     n, m = system.n, system.m
     rows = len(arrays["x"])
     given: dict[str, Any] = {name: arrays.get(name) for name in _ARRAYS}
@@ -210,7 +210,7 @@ def _unpack(
 
 
 def _csv(run: Solution) -> bytes:
-    """Return the columns with 17 digits, which are the very doubles."""
+    """Return the columns with 17 digits, which reproduce the doubles exactly."""
     (head, values), text = columns(run), io.StringIO()
     csv.writer(text, lineterminator="\n").writerow([name for name, _ in head])
     np.savetxt(text, values, "%.17g", ",")

@@ -1,9 +1,9 @@
-"""The reference flow by Taylor series: heyoka's, of the ODE on D of a system from expressions.
+"""The reference flow by Taylor series, for systems from expressions, with heyoka.
 
-A step has the order that the tolerance chooses, and is compiled by LLVM for the system.  States
-between its ends are sums of the same series.  What is stored is brought into D.  The series are
-followed in legs, each from a state in D, so that they do not leave it by little and little; and
-each with a tolerance for the size of that state, since heyoka's is of the largest number in it.
+The tolerance determines the order of a step; LLVM compiles the step for the system.  States between
+its ends are sums of the same series.  Stored states are projected to D.  The run consists of legs
+that start from states in D, so it does not drift off D.  Each leg has a tolerance for the size of
+its first state, because heyoka's tolerance is relative to the largest component.
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ class _Series:
         self.steps = 0
 
     def start(self, system: System, x: Array, t: float) -> None:
-        """Go on from a state at a time."""
+        """Start from a state at a time."""
         values = [*system.parameters.values(), *([0.0] * len(system.inputs))]
         self.flow.pars[:] = values
         self.flow.state[:] = x
         self.flow.time = t
 
     def to(self, system: System, times: Array) -> tuple[Array, DalembertError | None]:
-        """Return rows at times ahead, which may repeat, as far as a leg came; and what stopped it.
+        """Return the rows at later times, which may repeat, up to the end of a leg, and its error.
 
-        Where that is None, it can go on.
+        If the error is None, the leg can be continued.
         """
         ahead = times[np.r_[True, np.diff(times) != 0]]
         grid = ahead if ahead[0] == self.flow.time else np.r_[self.flow.time, ahead]
@@ -73,7 +73,7 @@ class _Series:
         last, stuck, count = float(self.flow.time), 0, 0
 
         def look(flow: Any) -> bool:
-            """See Ctrl-C, and what the step has passed."""
+            """Notice Ctrl-C, and record the end of the step."""
             nonlocal last, stuck, count
             self.steps, count = self.steps + 1, count + 1
             h, t = float(flow.last_h), float(flow.time)
@@ -101,9 +101,9 @@ class _Series:
         )  # fmt: skip
 
     def branches(self, system: System, t: float, h: float) -> Iterator[DalembertError]:
-        """Yield an error if the series do not solve the ODE where the step ends.
+        """Yield an error if the series do not solve the ODE at the end of a step.
 
-        They do not behind a point where a root is zero, or the argument of an atan2 has turned.
+        This happens after a point at which a root is zero, or the argument of an atan2 turned.
         """
         n, flow = system.n, self.flow
         numbers = np.arange(1, flow.tc.shape[1])
@@ -124,7 +124,7 @@ class _Series:
 
 @contextlib.contextmanager
 def _series(system: System, tolerance: float) -> Iterator[_Series]:
-    """Give an integrator that nobody else has."""
+    """Provide an integrator for exclusive use."""
     model = system._model
     key = model.key, tolerance
     with _lock:
@@ -144,7 +144,7 @@ def _series(system: System, tolerance: float) -> Iterator[_Series]:
 
 
 def _level(tolerance: float, x: Array) -> float:
-    """Return the tolerance of heyoka that is this one for each number of a state of this size."""
+    """Return the tolerance for heyoka that gives this tolerance for each component of a state."""
     size = float(np.abs(x).max())
     if size > LARGEST:
         raise DomainError(
@@ -158,12 +158,12 @@ def _level(tolerance: float, x: Array) -> float:
 def _legs(
     system: System, x: Array, t: float, times: Array, tolerance: float
 ) -> Iterator[tuple[Array, int]]:
-    """Yield rows at times from x at t as they come, not yet in D, and how many steps they took.
+    """Yield rows at the given times, from x at t, not yet in D, with the number of steps.
 
     Raises
     ------
     DalembertError
-        Behind the rows that there are.
+        After the last row that was computed.
     """
     done = steps = 0
     level = _level(tolerance, x)
@@ -186,7 +186,15 @@ def _legs(
 
 
 def require_supported(system: System, **given: Any) -> None:
-    """Refuse a system without expressions, and arguments that Taylor series do not take."""
+    """Raise an exception for a system without expressions, or for unsupported arguments.
+
+    Raises
+    ------
+    ValueError
+        If the system has no expressions.
+    NotImplementedError
+        If one of ``given`` is incompatible with Taylor series.
+    """
     if system._model is None:
         raise ValueError(
             f"method = 'taylor': the system {system.name!r} is not from expressions; expected one "
@@ -200,7 +208,7 @@ def require_supported(system: System, **given: Any) -> None:
 
 
 def state(system: System, x: Array, t0: float, t: float, tolerance: float) -> tuple[Array, float]:
-    """Return the state at t from x at t0, in D, and an estimate of its error."""
+    """Return the state in D at t, from x at t0, and an estimate of its error."""
     ends = []
     for level in (tolerance, min(LOOSER * tolerance, 0.1)):
         *_, (rows, _) = _legs(system, x, t0, np.array([t]), level)
@@ -214,7 +222,7 @@ def state(system: System, x: Array, t0: float, t: float, tolerance: float) -> tu
 
 
 class SeriesRun:
-    """A run in the making, as `Run`."""
+    """A run by Taylor series in execution, with the interface of `Run`."""
 
     def __init__(
         self,
@@ -245,7 +253,7 @@ class SeriesRun:
         self.error: BaseException | None = None
 
     def make(self) -> None:
-        """Make the run; if it does not go through, ``status`` and ``error`` say why."""
+        """Execute the run; after a failure ``status`` and ``error`` have the reason."""
         try:
             self._make()
         except BaseException as error:  # KeyboardInterrupt too: what was computed goes with it
@@ -265,12 +273,12 @@ class SeriesRun:
             self.show(self._step())
 
     def _store(self, rows: Array) -> bool:
-        """Keep rows in D, as far as they can be brought there; return whether the observer stops.
+        """Project rows to D and store them; return whether the observer stops the run.
 
         Raises
         ------
         DalembertError
-            If one cannot be.
+            If a row cannot be projected.
         """
         begin, n = self.done, self.system.n
         if len(rows) == 0:
@@ -293,7 +301,7 @@ class SeriesRun:
         return False
 
     def _stops(self, step: int, t: float, x: Array) -> bool:
-        """Show a state to the observer, and return whether it wants no more."""
+        """Show a state to the observer, and return whether it stops the run."""
         if self.observer is None:
             return False
         n = self.system.n
@@ -302,14 +310,14 @@ class SeriesRun:
         return bool(self.status == lib.DAL_STOPPED)
 
     def _step(self) -> int:
-        """Return how many steps of the run are made."""
+        """Return the number of steps taken."""
         if self.times is None or self.done == len(self.grid):
             return self.done * self.stride if self.times is None else self.steps
         t = float(self.grid[self.done - 1]) if self.done else self.t0
         return int((t - self.t0) / self.h)
 
     def solution(self) -> Solution:
-        """Return what was made."""
+        """Return the solution so far."""
         system, x, times = self.system, self.x[: self.done], None
         if self.times is None:
             x = np.vstack([self.start, x])
