@@ -70,12 +70,12 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(12.0, 4.4), layout="constrai
 for (name, residual), style in zip(residuals.items(), ("-", "--"), strict=True):
     left.semilogy(t, np.maximum(residual, 1e-18), style, linewidth=0.9, label=name)
 left.axhline(4 * 3 * 2.0**-53, color="0.6", linewidth=0.8, linestyle=":", label="4 n u")
-left.set(xlabel="time t (user's units)", ylabel="residual of D", ylim=(1e-18, 1e-3))
+left.set(xlabel="time t", ylabel="residual of D", ylim=(1e-18, 1e-3))
 left.set_title("between the rows of a run, h = 0.4")
 right.plot(inside.q[:, 0], inside.q[:, 1], "-", linewidth=0.9, label="run(t)")
 right.plot(run.q[:, 0], run.q[:, 1], "o", markersize=4, label="stored states")
 right.plot(q[:, 0], q[:, 1], "--", color="0.2", linewidth=1.6, label="c(tau)")
-right.set(xlabel="x (user's units)", ylabel="y (user's units)", aspect="equal")
+right.set(xlabel="x", ylabel="y", aspect="equal")
 right.set_title("the centre of mass, and a curve in D")
 for ax in (left, right):
     ax.legend(frameon=False)

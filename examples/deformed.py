@@ -76,10 +76,10 @@ for (delta, (run, gain, power)), colour, line in zip(found.items(), COLOURS, LIN
     axes[1].plot(run.t[few], slope[few], "o", markerfacecolor="none", color=colour)
 axes[1].plot([], [], "o", markerfacecolor="none", color="black", label="dE/dt by differences")
 axes[1].legend(frameon=False)
-axes[0].set(ylabel="E - E(0) (user's units)", title="energy")
-axes[1].set(ylabel="power (user's units)", title="power of the reaction")
+axes[0].set(ylabel="E - E(0)", title="energy")
+axes[1].set(ylabel="power", title="power of the reaction")
 for ax in axes:
-    ax.set_xlabel("time t (user's units)")
+    ax.set_xlabel("time t")
 
 # %%
 # How D bends

@@ -41,7 +41,7 @@ figure, ax = plt.subplots(figsize=(6.0, 4.0), layout="constrained")
 ax.plot(exact.q[:, 0], exact.q[:, 1], "--", color="0.55", label="exact motion")
 ax.plot(curve[:, 0], curve[:, 1], color=COLOURS[0], linewidth=2, label="perturbed flow")
 ax.plot(made.q[:, 0], made.q[:, 1], "o", color=COLOURS[1], markersize=9, label="leapfrog, h = 0.7")
-ax.set(xlabel="x (user's units)", ylabel="y (user's units)", aspect="equal")
+ax.set(xlabel="x", ylabel="y", aspect="equal")
 ax.legend(frameon=False)
 if abs(curve[::40, :3] - made.q).max() > 1e-10:
     sys.exit("the curve was expected to go through the states of the scheme")
@@ -90,8 +90,8 @@ embedding.plot(hs=[0.2, 0.1, 0.05], ax=axes[0])
 for (p, values), marker, line in zip(bounds.items(), "os^", ("--", "-", ":")):
     role = {-1: " (too small)", 0: " (the order)", 1: " (too large)"}[p - scheme.order]
     axes[1].loglog(steps, values, marker=marker, linestyle=line, label=f"p = {p}{role}")
-axes[1].set_xlabel("step h (user's units of time)")
-axes[1].set_ylabel("largest |g| over a period (user's units)")
+axes[1].set_xlabel("step h")
+axes[1].set_ylabel("largest |g| over a period")
 axes[1].set_title("particle: midpoint, which order?")
 axes[1].legend(frameon=False)
 if len(sys.argv) > 1:

@@ -143,7 +143,7 @@ figure, ax = plt.subplots(figsize=(6.0, 5.4), layout="constrained")
 for seed, run in enumerate(runs):
     dal.plot.snapshots(run, cart, ax, count=5)
     ax.plot(run.q[:, 0], run.q[:, 1], color=COLOURS[seed], linewidth=2.5, label=f"episode {seed}")
-ax.set(xlim=(-2.1, 2.1), ylim=(-1.5, 2.2), xlabel="x (user's units)", ylabel="y (user's units)")
+ax.set(xlim=(-2.1, 2.1), ylim=(-1.5, 2.2), xlabel="x", ylabel="y")
 ax.set_title("from five places to the origin", loc="left")
 ax.set_title("", loc="right")
 ax.legend(frameon=False, loc="upper right")

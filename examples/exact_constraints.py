@@ -54,7 +54,7 @@ sledge = a * np.array([(-1.7, -0.4), (-0.2, -0.5), (0.7, 0.0), (-0.2, 0.5), (-1.
 ax.fill(*sledge.T, color="0.85", edgecolor="0.3", zorder=2)
 ax.plot([-1.4 * a, -0.6 * a], [0, 0], color="0.3", linewidth=4)
 ax.set(xlim=(-2.0, 4.4), ylim=(-2.4, 2.4), aspect="equal")
-ax.set(xlabel="x (user's units)", ylabel="y (user's units)")
+ax.set(xlabel="x", ylabel="y")
 angles = ax.legend(frameon=False, loc="upper right", title="turned by (rad)")
 ax.add_artist(angles)
 kinds = [ax.plot([], [], line, color="black")[0] for line in ("-", "--")]
@@ -116,8 +116,8 @@ for ax, (title, values) in zip(axes, found.items()):
         ax.annotate(f"slope {order}", (steps[3], guide[3]), (4, -10),
                     textcoords="offset points", color="0.4", fontsize=8)  # fmt: skip
     ax.set_title(re.sub(r"D_d(\^E)?", r"$D_d\1$", title), fontsize="medium")
-    ax.set_xlabel("step h (user's units)")
-axes[0].set_ylabel("defect (user's units)")
+    ax.set_xlabel("step h")
+axes[0].set_ylabel("defect")
 axes[0].legend(frameon=False)
 if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)

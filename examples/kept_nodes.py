@@ -67,8 +67,8 @@ for ax, h in zip(axes, steps):
         ax.plot([], [], "o", color=colour, label=name)
     ticks = [-0.04, -0.02, 0.0, 0.02, 0.04]
     ax.set(title=f"h = {h:g}", xticks=ticks, yticks=ticks, aspect="equal")
-    ax.set_xlabel(r"off $D$:  $\mu(q)\,v$ (user's units)")
-axes[0].set_ylabel(r"off $D_\varepsilon$:  $\mu(q - h v/2)\,v$ (user's units)")
+    ax.set_xlabel(r"off $D$:  $\mu(q)\,v$")
+axes[0].set_ylabel(r"off $D_\varepsilon$:  $\mu(q - h v/2)\,v$")
 axes[0].legend(frameon=False, loc="upper left")
 for ax in axes:
     ax.grid(color="0.92")
@@ -90,7 +90,7 @@ for ax, scheme, title in zip(axes, schemes, ("moved nodes", "kept nodes")):
     ax.axhline(2.0**-53, color="black", linewidth=1.0, linestyle="--")
     ax.text(0.0, 1.6e-16, "unit roundoff u", fontsize="small")
     ax.set_title(f"{title} ({scheme})")
-    ax.set_xlabel("time t (user's units)")
-axes[0].set_ylabel("size of the constraint, $|\\phi|$ (user's units)")
+    ax.set_xlabel("time t")
+axes[0].set_ylabel("size of the constraint, $|\\phi|$")
 if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)

@@ -92,6 +92,6 @@ axes[0, 0].set_ylabel("z")
 axes[1, 0].set_ylabel("largest error of E so far")
 for ax in axes[:, 1]:
     ax.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-figure.suptitle("One term is not reversible, and the energy drifts (user's units)")
+figure.suptitle("One term is not reversible, and the energy drifts")
 if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)

@@ -109,7 +109,7 @@ for q in run.q[:: len(run.q) // 4]:
     centre, half = np.array([x, y]).T, 0.28 * np.array([np.cos(angle), np.sin(angle)]).T
     blades = np.stack([centre - half, centre + half], axis=1)
     ax.add_collection(LineCollection(blades, colors=colours, linewidths=4.5, zorder=3))
-ax.set(xlabel="x (user's units)", ylabel="y (user's units)", aspect="equal")
+ax.set(xlabel="x", ylabel="y", aspect="equal")
 ax.set_title(f"The first {len(first)} of {COUNT} skates, t = 0 to {run.t[-1]:g}")
 if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)

@@ -55,7 +55,7 @@ for steps, colour, marker in zip((4, 6, 10), COLOURS[1:], "os^"):
     way.plot(run.q[:, 1], run.q[:, 0], marker=marker, color=colour, label=f"h = {run.h:g}")
 exact = np.array([knife_edge.exact(t)[0] for t in np.linspace(0.0, 3.0, 200)])
 way.plot(exact[:, 1], exact[:, 0], color="black", linewidth=2.0, label="exact")
-way.set(xlabel="y (user's units)", ylabel="x, downhill (user's units)")
+way.set(xlabel="y", ylabel="x, downhill")
 way.invert_yaxis()
 way.legend(frameon=False)
 
@@ -63,7 +63,7 @@ dal.plot.convergence(study, errors, quantity="q")
 errors.lines[0].set_label("q")
 errors.plot(study.h, study.v_error, "s--", color=COLOURS[1], label="v")
 errors.plot(study.h, study.multiplier_error, "^-.", color=COLOURS[2], label=r"$\lambda$")
-errors.set(ylabel="error at t = 1 (user's units)", title=scheme)
+errors.set(ylabel="error at t = 1", title=scheme)
 errors.legend(frameon=False)
 if len(sys.argv) > 2:
     figure.savefig(sys.argv[2], dpi=110)

@@ -129,6 +129,6 @@ dal.plot.animate(short, seen, fps=12, seconds=5, multipliers=False)
 
 figure, ax = plt.subplots(figsize=(7.2, 3.6), layout="constrained")
 ax = dal.plot.snapshots(short, seen, ax, count=6)
-ax.set(xlabel="y, sideways (user's units)", ylabel="-x, uphill (user's units)")
+ax.set(xlabel="y, sideways", ylabel="-x, uphill")
 if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)

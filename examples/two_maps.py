@@ -56,14 +56,14 @@ axes = figure.subplot_mosaic([["way", "midpoint"], ["way", "one-sided"]], width_
 colours = dict(zip(pairs, ("#0072B2", "#009E73", "#E69F00", "#CC79A7", "#D55E00"), strict=True))
 for pair in ((0.5, 1.0), (0.5, 0.5)):
     axes["way"].plot(*runs[pair].q[:, :2].T, color=colours[pair], linewidth=1.1)
-axes["way"].set(xlabel="x (user's units)", ylabel="y (user's units)", aspect="equal")
+axes["way"].set(xlabel="x", ylabel="y", aspect="equal")
 for pair, error in errors.items():
     ax = axes["midpoint" if pair[1] == 0.5 else "one-sided"]
     label = f"$\\beta_L$ = {pair[0]:g}, $\\beta_D$ = {pair[1]:g}"
     ax.plot(runs[pair].t, error, linewidth=0.9, color=colours[pair], label=label)
 axes["midpoint"].set_title("$D_d$ by the midpoint map")
 axes["one-sided"].set_title("$D_d$ by a one-sided map")
-axes["one-sided"].set_xlabel("t (user's units)")
+axes["one-sided"].set_xlabel("t")
 for name in ("midpoint", "one-sided"):
     axes[name].set_ylabel("E - E(0)")
 figure.legend(loc="outside lower center", ncols=5, frameon=False, fontsize="small")

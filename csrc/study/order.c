@@ -485,25 +485,25 @@ static int judge(const study *self, const dal_order *order, const char **why)
     const bool hidden = run.sunk && ((step.sunk && open) || (resolved && lost));
     if (hidden && resolved && reaction.falls_short) return 0; /* p is hidden, s is not */
     if (hidden && self->tolerance > DEFAULT_TOLERANCE)
-        *why = "not settled, for too few errors stand clear of that of the reference, or tell no "
+        *why = "Not settled, for too few errors stand clear of that of the reference, or tell no "
                "order yet: take a smaller tolerance";
     else if (hidden && run.few && step.few)
-        *why = "not measurable in double, for fewer than three errors over a factor of two in h "
+        *why = "Not measurable in double, for fewer than three errors over a factor of two in h "
                "lie between roundoff and the solution: take larger h that resolve it, or a longer "
                "interval";
     else if (hidden)
-        *why = "not measurable in double, for the order still changes with h where the errors "
+        *why = "Not measurable in double, for the order still changes with h where the errors "
                "reach roundoff: take a longer interval";
     else if (few)
-        *why = "not settled, for too few errors stand clear of roundoff: three over a factor of "
+        *why = "Not settled, for too few errors stand clear of roundoff: three over a factor of "
                "two in h are needed, so give more numbers of steps, or take a longer interval";
     else if (!resolved)
-        *why = "not settled, for an error at t_end is as large as the solution, or a run failed "
+        *why = "Not settled, for an error at t_end is as large as the solution, or a run failed "
                "with a smaller step than others: take fine steps only, or a shorter interval";
     else if (changes)
-        *why = "not settled, for the order still changes with h: take finer steps";
+        *why = "Not settled, for the order still changes with h: take finer steps";
     else
-        *why = "not settled, for the errors at t_end do not have the order that one step has: "
+        *why = "Not settled, for the errors at t_end do not have the order that one step has: "
                "take finer steps, and see whether the motion is smooth";
     return hidden && self->tolerance <= DEFAULT_TOLERANCE ? -3 : -2;
 }
@@ -536,9 +536,9 @@ static const char *order_text(const dal_fit *fit, double lost, char text[16])
 static const char *verdict_word(const dal_order *order, const char *why)
 {
     switch (order->holds) {
-    case 1: return order->state.exact && order->global_state.exact ? "exact to roundoff" : "holds";
-    case 0: return "does not hold";
-    case -1: return "the record promises nothing";
+    case 1: return order->state.exact && order->global_state.exact ? "Exact to roundoff" : "Holds";
+    case 0: return "Does not hold";
+    case -1: return "The record promises nothing";
     default: return why;
     }
 }
@@ -577,11 +577,10 @@ static void write_verdict(study *self, double worst, const char *why, dal_order 
                  (self->kept ? order->keeps_D_eps : order->keeps_D) ? "kept to" : "violated by",
                  worst);
     snprintf(order->text, sizeof order->text,
-             "order (p, s) = (%s, %s) over %zu point%s%s, order %s at t_end: %s%s%s%s.",
-             order_text(&order->state, 1.0, p), order_text(&order->reaction, 1.0, s),
+             "%s. Order (p, s) = (%s, %s) over %zu point%s%s, order %s at t_end%s%s%s.",
+             verdict_word(order, why), order_text(&order->state, 1.0, p), order_text(&order->reaction, 1.0, s),
              order->state.points, order->state.points == 1 ? "" : "s", promised,
-             order_text(&order->global_state, 0.0, at_end), verdict_word(order, why), kept,
-             failed, loses_energy(self) ? "; nothing does work on the system, but its energy "
+             order_text(&order->global_state, 0.0, at_end), kept, failed, loses_energy(self) ? "; nothing does work on the system, but its energy "
              "changes as much at the smallest h: gradient may not be that of potential, see "
              "check" : "");
 }

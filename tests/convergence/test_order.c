@@ -243,7 +243,7 @@ static void test_order_ten(void)
         expect_flag(&result, result.order.keeps_D && result.order.holds != 0, result.order.text);
         result = measure("knife_edge", &scheme, DAL_INITIAL_NONE, 2.0, 6, fine);
         expect_flag(&result, result.order.keeps_D && result.order.holds == 1, result.order.text);
-        expect_flag(&result, strstr(result.order.text, "exact to roundoff") != NULL, "exact");
+        expect_flag(&result, strstr(result.order.text, "Exact to roundoff") != NULL, "exact");
     }
 }
 
@@ -333,7 +333,7 @@ static void test_false_promises(void)
     liar.multiplier_order = 1;
     result = measure("generic4", &liar, DAL_INITIAL_NONE, 1.0, PLAIN, plain_steps);
     expect_flag(&result, result.order.holds == 0, result.order.text);
-    CHECK(strstr(result.order.text, "does not hold") != NULL);
+    CHECK(strstr(result.order.text, "Does not hold.") != NULL);
     /* From D both have to hold, the first step and the slope at t_end.  On Heisenberg's system
      * D_eps is D, and the step loses no order; the slope is 1 and not 2. */
     liar = find_scheme("midpoint-nodes");
@@ -378,7 +378,7 @@ static void test_hidden_orders(void)
     measurement result = measure("particle_oscillator", &scheme, DAL_INITIAL_NONE, 1.0, COUNT,
                                  steps);
     expect_flag(&result, result.order.holds == -3, result.order.text);
-    expect_flag(&result, strstr(result.order.text, "not measurable in double, for the order still")
+    expect_flag(&result, strstr(result.order.text, "Not measurable in double, for the order still")
                 != NULL, "in words");
     scheme.multiplier_order = 1;
     result = measure("particle_oscillator", &scheme, DAL_INITIAL_NONE, 1.0, COUNT, steps);
@@ -462,7 +462,8 @@ static void test_counted(void)
     CHECK(order.global_state.points == 3);
     CHECK(!(points[8].counted & 1u << DAL_FIT_GLOBAL_STATE));
     CHECK(order.reaction.points == 4 && !(points[4].counted & 1u << DAL_FIT_REACTION));
-    CHECK(strstr(order.text, "order 4.00 at t_end: holds") != NULL);
+    CHECK(strncmp(order.text, "Holds. Order (p, s)", 19) == 0);
+    CHECK(strstr(order.text, "order 4.00 at t_end; D kept to") != NULL);
     CHECK(order.keeps_D && !order.keeps_D_eps); /* there is none for several sub-steps */
     dal_system_free(system);
 }
@@ -540,7 +541,7 @@ static void test_unconstrained(void)
     CHECK(dal_system_new(&system, &free_body, NULL) == 0);
     CHECK(dal_order_study(system, &midpoint, &def, &point, &order, NULL) == 0);
     CHECK(strstr(order.text, "kept to") == NULL);
-    CHECK(strstr(order.text, "exact to roundoff.") != NULL);
+    CHECK(strstr(order.text, "Exact to roundoff.") != NULL);
     dal_system_free(system);
     const measurement single = measure("generic4", &midpoint, DAL_INITIAL_NONE, 1.0, 1, steps);
     CHECK(strstr(single.order.text, "over 1 point,") != NULL);

@@ -13,6 +13,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from ..core import extras, files
 from ..core.arguments import suggestion
 from ..run.scheme import INITIAL
 from ..run.scheme import schemes as named_schemes
-from ..show import pages, report, web
+from ..show import pages, report, table, web
 from ..study.refinement import MOST_STEPS, studies
 from ..systems import catalogue
 from . import ensembles, runs
@@ -111,8 +112,8 @@ def _parser() -> argparse.ArgumentParser:
     study = commands.add_parser(
         "study",
         help="step-size refinement of schemes on a system, with a verdict",
-        description="Refine the step size of every scheme on a system; print the errors, the "
-        "orders and what is kept, and write a report.  Exit status 1 if a scheme does "
+        description="Refine the step size of every scheme on a system; print the "
+        "verdict and the measured orders, and write a report.  Exit status 1 if a scheme does "
         "not deliver what it promises.",
     )
     _add_study_options(study)
@@ -176,6 +177,7 @@ def _add_study_options(study: argparse.ArgumentParser) -> None:
     written.add_argument("--output", type=Path, metavar="FILE",
                          help="the report (default: report.html)")
     written.add_argument("--no-report", action="store_true", help="write no report")
+    add("--tables", action="store_true", help="print the table of each scheme as well")
     add("--json", nargs="?", const="-", metavar="FILE",
         help="the numbers as JSON, to FILE or to standard output; in the latter case the tables go "
         "to standard error")  # fmt: skip
@@ -213,7 +215,8 @@ def _study(given: argparse.Namespace) -> int:
         interrupt, found = stop, getattr(stop, "partial", ())
         if not found:
             raise
-    found.show(sys.stderr if given.json == "-" else sys.stdout)
+    lines = table.studies_lines if given.tables else table.overview_lines
+    table.show(partial(lines, found), sys.stderr if given.json == "-" else sys.stdout)
     if interrupt:
         wanted = given.scheme or [scheme for scheme in named_schemes() if scheme.order > 0]
         _say(given, f"interrupted: {len(found)} of {len(wanted)} schemes were studied")

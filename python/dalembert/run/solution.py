@@ -630,7 +630,7 @@ class Solution(Mapping[str, Any]):
         return how(self.h, self.control)
 
     def __repr__(self) -> str:
-        kept = "D_eps" if self.nodes == "kept" else "D"
+        where = " at kept nodes (D_eps)" if self.nodes == "kept" else ""
         every = f", every {self.stride} steps" if self.stride > 1 else ""
         lines = [
             f"<Solution of {self.system.name} by {self.scheme.name}, {self._how}: "
@@ -639,7 +639,8 @@ class Solution(Mapping[str, Any]):
         ]
         known = not np.isnan(self.stats.worst_residual)  # that of a journal is not
         if known and not self.scheme.is_reference and self.system.m > 0:
-            lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
+            size = f"{self.stats.worst_residual:.1e}"
+            lines.append(f"  constraint{where}: relative residual at most {size}")
         if np.isinf(self.stats.error):
             lines.append("  error of the last state: unknown, h / 2 cannot be tried")
         elif self.stats.error >= 0.0:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core import Array, arguments, extras
 from ..ensembles import Ensemble
-from .plot import COLOURS, Axes, axes_for, plain, unit
+from .plot import COLOURS, Axes, axes_for, plain, with_unit
 from . import web
 from .table import Table
 
@@ -46,7 +46,7 @@ def draw(
     >>> many = dal.ensemble(dal.systems.sleigh(), parameters={"a": [0.1, 0.2]}, h=0.01, steps=100,
     ...                     keep="all", stride=10, progress=False)
     >>> many.plot("theta").get_ylabel()
-    "theta (user's units)"
+    'theta'
     """
     if what is None:
         what = "ended_by" if "ended_by" in self and len(self.shape) == 2 else _first(self)
@@ -86,7 +86,7 @@ def _label(found: Ensemble, name: str, at: str = "") -> str:
     of = name
     if name not in found.system.coordinates:  # a parameter may have any name
         of = "" if name in found.system.parameters else {"t_end": "t", "h": "t"}.get(name, name)
-    return f"{plain(name)}{at} ({unit([found], of)})"
+    return with_unit(f"{name}{at}", [found], of)
 
 
 def _bands(found: Ensemble, what: str, ax: Axes) -> None:

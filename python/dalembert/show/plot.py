@@ -46,7 +46,6 @@ QUANTITIES = {
         "local_reaction_error", "reaction", 1, "error of the scheme's multiplier after one step", ()
     ),
 }  # fmt: skip
-USERS = "user's units"  # where a unit is not known, or several are mixed
 
 
 def styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -144,8 +143,8 @@ def convergence(
     ax.xaxis.set_minor_formatter(NullFormatter())
     parts = [before + x for item in studies for x in item.system.coordinates for before in of]
     ax.set(
-        xlabel=f"step h ({unit(studies, 't')})",
-        ylabel=f"{words.format(t_end=studies[0].t_end)} ({unit(studies, *parts)})",
+        xlabel=with_unit("step h", studies, "t"),
+        ylabel=with_unit(words.format(t_end=studies[0].t_end), studies, *parts),
         title=f"{_systems(studies)}: convergence",
     )
     return _legend(ax, "scheme: fitted order")
@@ -298,7 +297,7 @@ def path(
     >>> import dalembert as dal
     >>> run = dal.integrate(dal.systems.knife_edge(), "leapfrog", h=0.05, steps=100)
     >>> dal.plot.path(run).get_xlabel()
-    "x (user's units)"
+    'x'
     """
     require_kind(solution, "solution", Solution)
     n = solution.system.n
@@ -314,7 +313,7 @@ def path(
     ax.plot(first[:1], second[:1], color=COLOURS[1], marker="o", linestyle="none", label="start")
     ax.set_aspect("equal", adjustable="datalim")
     names = (solution.system.coordinates[k] for k in (i, j))
-    x, y = (f"{plain(name)} ({unit([solution], name)})" for name in names)
+    x, y = (with_unit(name, [solution], name) for name in names)
     title = f"{solution.system.name}: path, {solution.scheme.name}, {solution._how}"
     ax.set(xlabel=x, ylabel=y, title=plain(title))
     ax.legend(frameon=False)
@@ -372,7 +371,7 @@ def perturbation(
     title = f"{embedding.system.name}: {embedding.scheme.name} with p = {embedding.order}"
     ax.set(
         xlabel="time in units of the period, tau = t/h",
-        ylabel="largest component of |g| (user's units)",
+        ylabel="largest component of |g|",
         title=plain(title),
     )
     return _legend(ax, "step h")
@@ -459,14 +458,15 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def unit(items: Iterable[Any], *names: str) -> str:
-    """Return the common unit of some quantities of the systems, if it is known."""
+def with_unit(words: str, items: Iterable[Any], *names: str) -> str:
+    """Return a label with the common unit of some quantities of the systems, if it is known."""
     found = {item.system.unit(name) for item in items for name in names}
-    return plain(found.pop() or USERS) if len(found) == 1 else USERS
+    (shared,) = found if len(found) == 1 else [None]
+    return plain(f"{words} ({shared})" if shared else words)
 
 
 def _time(items: Iterable[Any]) -> str:
-    return f"time t ({unit(items, 't')})"
+    return with_unit("time t", items, "t")
 
 
 def several(item: Any, what: str, kind: type) -> list[Any]:

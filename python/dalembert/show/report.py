@@ -28,7 +28,7 @@ MOST = 4  # schemes in one picture
 def write(studies: Study | Studies | Sequence[Study], path: str | Path) -> Path:
     """Write the report of studies on one system as an HTML page.
 
-    The page shows the equations, a path, and the verdict.  Plots of the errors, of the residuals of
+    The page shows the verdict, the equations and a path.  Plots of the errors, of the residuals of
     D and D_eps, and of the energy follow.  Folded sections have the plots of more than four
     schemes, tables, and the commands that reproduce the report.  For the residuals and the energy
     every scheme runs once more, for 400 steps of a twentieth of the interval.
@@ -88,7 +88,6 @@ def _sections(studies: Studies, runs: dict[int, Solution]) -> Iterator[web.Secti
     best = max(runs.values(), key=lambda run: (run.success, run.scheme.order))
     caption = f"A run: {best.scheme.name}, {len(best.x) - 1} steps of h = {_time(best, best.h)}."
     path = panels.motion(best, "path", caption)
-    yield "", web.sentence(system.help), web.side_by_side([panels.equations(system), path])
     kind = "fails" if studies.holds is False else "holds" if studies.holds else ""
     yield "", "", web.paragraph(studies.sentence(), f"verdict {kind}")
     for study in studies:
@@ -97,6 +96,7 @@ def _sections(studies: Studies, runs: dict[int, Solution]) -> Iterator[web.Secti
     for study in studies:
         for doubt in doubts(runs[id(study)]):
             yield "", "", web.paragraph(f"{study.scheme.name}, in a longer run: {doubt}")
+    yield "", web.sentence(system.help), web.side_by_side([panels.equations(system), path])
     yield "", _about(studies), ""
     styles = plot.styles(study.scheme.name for study in studies)
     first, *more = _in_fours(studies)
@@ -127,10 +127,9 @@ def _about(studies: Studies) -> str:
     other = "the exact solution" if exact else f"a reference flow good to {first.reference:.1e}"
     initial = _initial(studies)
     kept = f" Schemes with kept nodes start with `initial={initial!r}`." if initial else ""
-    units = "Other numbers" if system.units else "All numbers"
     return (
         f"Runs go from t = {first.t0:g} to {first.t_end:g}{unit(system, 't')}, start in {start}, "
-        f"v = ({velocity}), and are compared with {other}.{kept} {units} are in the user's units."
+        f"v = ({velocity}), and are compared with {other}.{kept} Numbers without a unit are in the units of the model."
     )
 
 

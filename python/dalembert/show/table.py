@@ -8,6 +8,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TextIO
 
 from ..core import Array, arguments
@@ -37,7 +38,7 @@ def _points(fit: Fit) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """A table, with a caption above and a note below it.
+    """A table, with a caption, a sentence below the caption, and a note below the table.
 
     Its first columns are flush left; the style is a class of the stylesheet.
     """
@@ -46,6 +47,7 @@ class Table:
     rows: list[Any]
     left: int = 1
     caption: str = ""
+    verdict: str = ""
     note: str = ""
     style: str = ""
 
@@ -83,26 +85,28 @@ def of_study(study: Study) -> Table:
         "D_eps": map(number, study.residual_eps),
         "energy": map(number, study.energy_error),
     }
-    return Table([*columns], [*zip(*columns.values())], 0, heading(study), summary(study))
+    rows = [*zip(*columns.values())]
+    return Table([*columns], rows, 0, heading(study), study.text, summary(study))
 
 
 def overview(studies: Studies) -> Table:
     """Return the table of several studies, one row for each scheme."""
-    titles = "scheme", "promised", "p", "s", "at t_end", "res. D", "D_eps", "energy"
+    titles = "scheme", "verdict", "promised", "p", "s", "at end", "res. D", "D_eps", "energy"
     rows = [
         (
             study.scheme.name,
+            study.verdict,
             study.promise,
             study.fits["state"].order(1),
             study.fits["reaction"].order(1),
             study.fits["global_state"].order(),
             *(number(worst(x)) for x in (study.residual, study.residual_eps, study.energy_error)),
-            study.keeps,
-            study.verdict,
+            "both" if study.keeps_D and study.keeps_D_eps else study.keeps,
         )
         for study in studies
     ]
-    return Table([*titles, "keeps", "verdict"], rows, 1, f"Overview of {len(studies)} schemes")
+    caption = f"Overview of {len(studies)} schemes"
+    return Table([*titles, "keeps"], rows, 2, caption, studies.sentence())
 
 
 # ---- words ---------------------------------------------------------------------------------
@@ -115,11 +119,10 @@ def heading(study: Study) -> str:
 
 
 def summary(study: Study) -> str:
-    """Return the verdict in words, then the points used by the fits; two lines."""
+    """Return the points used by the fits, and the orders at the end."""
     keys = {"q": "global_q", "v": "global_v", "lambda": "global_multipliers"}
     at_end = ", ".join(f"{name} {study.fits[key].order()}" for name, key in keys.items())
     return (
-        f"{study.text}\n"
         f"p over {_points(study.fits['state'])}, s over {_points(study.fits['reaction'])}; "
         f"orders at t_end: {at_end}; kept to roundoff: {study.keeps}."
     )
@@ -133,21 +136,26 @@ def study_lines(study: Study, width: int) -> Iterator[Line]:
     width = arguments.integer(width, "width", 1)
     table = of_study(study)
     yield table.caption, "bold"
+    yield from _wrapped(table.verdict, width, COLOURS[study.holds])
     yield from table.lines(width)
-    first, rest = table.note.split("\n")
-    yield from _wrapped(first, width, COLOURS[study.holds])
-    yield from _wrapped(rest, width)
+    yield from _wrapped(table.note, width)
+
+
+def overview_lines(studies: Studies, width: int) -> Iterator[Line]:
+    """Yield the verdict on several studies and their overview line by line."""
+    width = arguments.integer(width, "width", 1)
+    table = overview(studies)
+    yield from _wrapped(table.verdict, width, "bold " + COLOURS[studies.holds])
+    if studies:
+        yield from table.lines(width)
 
 
 def studies_lines(studies: Studies, width: int) -> Iterator[Line]:
-    """Yield several studies line by line, with an overview and the verdict at the end."""
-    width = arguments.integer(width, "width", 1)
+    """Yield several studies line by line: the verdict, the overview, and the table of each."""
+    yield from overview_lines(studies, width)
     for study in studies:
-        yield from study_lines(study, width)
         yield "", ""
-    if studies:
-        yield from overview(studies).lines(width)
-    yield from _wrapped(studies.sentence(), width, "bold " + COLOURS[studies.holds])
+        yield from study_lines(study, width)
 
 
 def _wrapped(text: str, width: int, style: str = "") -> Iterator[Line]:
@@ -166,18 +174,19 @@ def rich(lines: Iterable[Line]) -> Iterator[Any]:
     return (Text(text, style=style) for text, style in lines)
 
 
-def show(item: Study | Studies, file: TextIO | None) -> None:
-    """Print: with rich on a terminal if rich is installed, else plain."""
+def show(lines: Callable[[int], Iterator[Line]], file: TextIO | None) -> None:
+    """Print lines for a width: with rich on a terminal if rich is installed, else plain."""
     out = sys.stdout if file is None else file
     if not out.isatty():
-        print(item, file=out)
+        print(text(lines(WIDTH)), file=out)
         return
     try:
         from rich.console import Console
     except ImportError:
-        print(item.table(min(WIDTH, shutil.get_terminal_size().columns)), file=out)
+        print(text(lines(min(WIDTH, shutil.get_terminal_size().columns))), file=out)
     else:
-        Console(file=out, highlight=False).print(item)
+        console = Console(file=out, highlight=False)
+        console.print(*rich(lines(console.width)), sep="\n")
 
 
 # ---- objects -------------------------------------------------------------------------------
@@ -200,7 +209,7 @@ def attach(
         file : text stream, optional
             Default: standard output.
         """
-        show(self, file)
+        show(partial(lines, self), file)
 
     def console(self: Any, console: Any, options: Any) -> Iterator[Any]:
         return rich(lines(self, options.max_width))

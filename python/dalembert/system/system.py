@@ -219,7 +219,7 @@ class System(Handle):
     ...     coordinates=["x", "y", "z"],
     ... )
     >>> belt
-    <System system(x, y, z): n = 3, m = 1, affine, forced>
+    <System system(x, y, z): 3 coordinates, 1 affine constraint, forced>
     >>> belt.residual([0, 1, 0], [1, 1, 3])
     array([0.])
 
@@ -428,7 +428,7 @@ class System(Handle):
         ...     L=(x.d**2 + y.d**2 + z.d**2) / 2, constraints=[z.d - y * x.d]
         ... )
         >>> own
-        <System system(x, y, z): n = 3, m = 1>
+        <System system(x, y, z): 3 coordinates, 1 constraint>
         >>> own.multipliers([0, 1, 0], [1, 1, 1])
         array([0.5])
         """
@@ -1038,14 +1038,20 @@ class System(Handle):
         names = ", ".join(self.coordinates[:8]) + ", ..." * (self.n > 8)
         traits = (
             ("" if self.has_constant_mass else ", general Lagrangian")
-            + (f", {self.kind}" if self.kind != "linear" else "")
             + (", forced" if self.is_forced else "")
             + (", driven" if self.is_driven else "")
             + (", depends on time" if self.is_time_dependent else "")
             + (f", inputs {', '.join(self.inputs)}" if self.inputs else "")
         )
         parameters = f"; parameters {values}" if values else ""
-        return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{traits}{parameters}>"
+        return f"<System {self.name}({names}): {self._sizes}{traits}{parameters}>"
+
+    @property
+    def _sizes(self) -> str:
+        """The numbers of coordinates and of constraints, in words."""
+        one, some = "coordinate" + "s" * (self.n != 1), "constraint" + "s" * (self.m != 1)
+        kind = f"{self.kind} " if self.kind != "linear" else ""
+        return f"{self.n} {one}, {self.m or 'no'} {kind}{some}"
 
     @property
     def _identity(self) -> Any:

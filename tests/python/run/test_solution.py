@@ -163,7 +163,7 @@ def test_what_a_run_says_of_itself(own):
     assert str(run).splitlines() == [
         "<Solution of own by midpoint, h = 0.05: success",
         "  11 states at t = 1 .. 3, every 4 steps",
-        f"  worst residual of D: {run.stats.worst_residual:.1e}",
+        f"  constraint: relative residual at most {run.stats.worst_residual:.1e}",
         f"  error of the last state: about {run.stats.error:.0e} of its size",
         "  40 steps to t = 3>",
     ]
@@ -180,7 +180,8 @@ def test_what_a_run_says_of_itself(own):
     assert "FAILED" in str(failed) and str(failed).endswith("DomainError: a wall>")
     kept = dal.integrate(own.system(), "midpoint-nodes", h=0.05, steps=4, initial="project")
     assert run.shift == 0.0
-    assert "worst residual of D_eps" in str(kept) and (kept.nodes, kept.shift) == ("kept", 0.025)
+    assert "constraint at kept nodes (D_eps): relative residual at most " in str(kept)
+    assert (kept.nodes, kept.shift) == ("kept", 0.025)
     reference = dal.integrate(own.system(), "reference", h=0.05, steps=4)
     assert "residual" not in str(reference) and np.isnan(reference.reactions).all()
     free = dal.integrate(dal.System(mass=[1], q0=[0], v0=[1]), h=0.1, steps=4)

@@ -119,7 +119,7 @@ def test_one_order_everywhere():
     assert study.fits["reaction"].points == 4  # the finer half
     overview = table.overview(dal.study.Studies([study]))
     row = dict(zip(overview.titles, overview.rows[0]))
-    assert row["at t_end"] == at_end
+    assert row["at end"] == at_end
     html = dal.study.Studies([study])._repr_html_()
     assert f"<td>{at_end}</td>" in html
     ax = dal.plot.convergence(study)
@@ -137,8 +137,10 @@ def test_exact_to_roundoff_is_a_verdict():
     straight = dal.System(mass=[1.0, 1.0], q0=[0, 0], v0=[1, 1])
     study = dal.convergence(straight, "leapfrog", steps=STEPS)
     assert study.holds is True and study.verdict == "exact"
-    assert study.text.endswith("(exact, exact) over 0 points, promised (2, 0), order exact at "
-                               "t_end: exact to roundoff.")  # fmt: skip
+    assert study.text == (
+        "Exact to roundoff. Order (p, s) = (exact, exact) over 0 points, promised (2, 0), "
+        "order exact at t_end."
+    )
     disk = dal.convergence(dal.systems.disk(), "midpoint", steps=STEPS)  # v is, q is not
     assert disk.fits["global_v"].exact and disk.verdict == "holds"
 
@@ -232,7 +234,7 @@ def test_an_order_that_roundoff_hides_is_not_measurable():
     high = dal.Scheme.find("leapfrog-ss10")
     studies = dal.studies(particle, [high, "leapfrog"], t_end=1)
     assert [study.verdict for study in studies] == ["not measurable", "holds"]
-    assert "not measurable in double" in studies[0].text and studies.holds is True
+    assert studies[0].text.startswith("Not measurable in double") and studies.holds is True
     assert studies.sentence().endswith("; the order of leapfrog-ss10 is not measurable in double.")
     assert studies[:1].holds is None and "not measurable" in studies[:1].sentence()
     # A reference that is not accurate enough hides it as well, but not in double.
@@ -548,7 +550,7 @@ def test_the_promise_is_that_for_the_start():
     overview = table.overview(dal.study.Studies([study]))
     row = dict(zip(overview.titles, overview.rows[0]))
     assert row["promised"] == "(2, 0)"
-    assert row["at t_end"] == f"{study.fits['global_state'].slope:.2f}"
+    assert row["at end"] == f"{study.fits['global_state'].slope:.2f}"
 
 
 def test_orders_have_no_negative_zero():
@@ -616,7 +618,7 @@ def test_the_table_is_complete_and_fits(midpoint):
     first = next(line for line in lines if line.split()[0] == "0.1").split()
     assert first[1] == f"{midpoint.q_error[0]:.1e}"
     assert first[3] == f"{midpoint.v_error[0]:.1e}"
-    assert midpoint.text in flat(text)
+    assert flat(text).startswith(f"{lines[0]} {midpoint.text} h q error")
     assert "p over 5 points, s over 3 points" in flat(text)
 
 

@@ -341,7 +341,7 @@ def test_no_matrix_of_n_rows():
         mass=np.ones(n), forms=forms, forms_velocity_derivative=derivative,
         sparsity=(np.repeat(np.arange(count), 3), own.ravel()),
     )  # fmt: skip
-    assert "n = 9000, m = 3000" in repr(system)
+    assert "9000 coordinates, 3000 constraints" in repr(system)
     run = dal.integrate(system, "midpoint", np.zeros(n), np.tile([1.0, 0, 0.5], count), h=0.1,
                         steps=10)
     most = tracemalloc.get_traced_memory()[1]

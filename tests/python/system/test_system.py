@@ -63,9 +63,10 @@ def test_unknown_attribute():
 
 def test_representations():
     assert repr(dal.systems.sleigh()) == (
-        "<System sleigh(x, y, theta): n = 3, m = 1; parameters m = 1.5, J = 0.8, a = 0.4>"
+        "<System sleigh(x, y, theta): 3 coordinates, 1 constraint; "
+        "parameters m = 1.5, J = 0.8, a = 0.4>"
     )
-    assert repr(dal.systems.particle()) == "<System particle(x, y, z): n = 3, m = 1>"
+    assert repr(dal.systems.particle()) == "<System particle(x, y, z): 3 coordinates, 1 constraint>"
 
 
 def test_exact_solution_of_the_particle(particle):

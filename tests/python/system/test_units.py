@@ -170,13 +170,14 @@ def test_axes(sleigh, run):
     study = dal.convergence(sleigh, "midpoint", steps=(10, 15, 20))
     axes = {kind: dal.plot.convergence(study, quantity=kind) for kind in ("state", "q", "v")}
     assert all(ax.get_xlabel() == "step h (s)" for ax in axes.values())
-    assert all(ax.get_ylabel().endswith("(user's units)") for ax in axes.values())  # m and rad
+    mixed = [f"error of {kind} at t = 1" for kind in ("(q, v)", "q", "v")]  # m and rad
+    assert [ax.get_ylabel() for ax in axes.values()] == mixed
     flat = sleigh.with_units(theta="m")  # as if it were
     alike = dal.convergence(flat, "midpoint", steps=(10, 15, 20))
     found = [dal.plot.convergence(alike, quantity=kind).get_ylabel() for kind in ("q", "v")]
     assert [text.rsplit(" ", 1)[1] for text in found] == ["(m)", "(m/s)"]
     both = dal.plot.convergence([study, dal.convergence(sleigh.with_units(t="h"), "leapfrog")])
-    assert both.get_xlabel() == "step h (user's units)"  # two of them
+    assert both.get_xlabel() == "step h"  # two of them
     assert dal.plot.drift(run)[0].get_xlabel() == "time t (s)"
     assert dal.plot.energy(run).get_xlabel() == "time t (s)"
     assert "J" not in dal.plot.energy(run).get_ylabel()  # a ratio
@@ -191,7 +192,7 @@ def test_axes_of_ensembles(sleigh):
     ends = many(parameters={"a": [0.1, 0.2, 0.3]})
     ax = ends.plot("v_theta", y="x")
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("v_theta at the end (rad/s)", "x at the end (m)")
-    assert ax.figure.axes[1].get_ylabel() == "a (user's units)"
+    assert ax.figure.axes[1].get_ylabel() == "a"
     bands = many(parameters={"a": [0.1, 0.2]}, keep="energy", stride=5).plot("energy")
     assert (bands.get_xlabel(), bands.get_ylabel()) == ("t (s)", "energy (J)")
 
@@ -205,7 +206,7 @@ def test_a_parameter_has_no_unit_of_another():
     many = dal.ensemble(named, parameters={"energy": [1, 2]}, h=0.1, steps=5, progress=False)
     ax = many.plot("x")
     assert ax.get_xlabel() == "x at the end (m)"
-    assert ax.figure.axes[1].get_ylabel() == "energy (user's units)"
+    assert ax.figure.axes[1].get_ylabel() == "energy"
 
 
 def test_pages_and_reports(sleigh):
@@ -216,7 +217,7 @@ def test_pages_and_reports(sleigh):
     study = dal.studies(sleigh, ["midpoint"], steps=(10, 15, 20))
     words = dal.show.report.page(study)
     assert "start in x = 0 m, y = 0 m, theta = 0.3 rad, v = (" in words
-    assert "Other numbers are in the user's units" in words.replace("&#39;", "'")
+    assert "Numbers without a unit are in the units of the model." in words
 
 
 def test_a_hostile_unit():
