@@ -578,11 +578,12 @@ static void write_verdict(study *self, double worst, const char *why, dal_order 
                  worst);
     snprintf(order->text, sizeof order->text,
              "%s. Order (p, s) = (%s, %s) over %zu point%s%s, order %s at t_end%s%s%s.",
-             verdict_word(order, why), order_text(&order->state, 1.0, p), order_text(&order->reaction, 1.0, s),
-             order->state.points, order->state.points == 1 ? "" : "s", promised,
-             order_text(&order->global_state, 0.0, at_end), kept, failed, loses_energy(self) ? "; nothing does work on the system, but its energy "
-             "changes as much at the smallest h: gradient may not be that of potential, see "
-             "check" : "");
+             verdict_word(order, why), order_text(&order->state, 1.0, p),
+             order_text(&order->reaction, 1.0, s), order->state.points,
+             order->state.points == 1 ? "" : "s", promised,
+             order_text(&order->global_state, 0.0, at_end), kept, failed,
+             loses_energy(self) ? "; nothing does work on the system, but its energy changes as "
+             "much at the smallest h: gradient may not be that of potential, see check" : "");
 }
 
 /* Whether errors of one order less than promised would be seen at the longest step.  Those of one

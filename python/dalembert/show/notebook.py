@@ -61,7 +61,7 @@ def run(self: Solution) -> str | None:
     rows = [
         ("run", f"{self.scheme.name}, {how}: {len(self.x)} states at t = {self.t[0]:g} .. "
          f"{self.t[-1]:g}{unit}{every}"),
-        ("D_eps" if self.nodes == "kept" else "D", _kept(self)),
+        ("D_ε" if self.nodes == "kept" else "D", _kept(self)),
         ("energy", _energy(self)),
         ("ended", self.message),
     ]  # fmt: skip
@@ -129,7 +129,7 @@ def scheme(self: Scheme) -> str | None:
     promised = f"p = {self.order}, s = {self.multiplier_order}" if self.order else "nothing"
     rows = [
         ("promises", promised),
-        ("keeps", "D_eps, at kept nodes" if self.nodes == "kept" else "D"),
+        ("keeps", "D_ε, at kept nodes" if self.nodes == "kept" else "D"),
         ("symmetric", "yes" if self.symmetric else "no"),
         ("family", self.family),
         (f"{len(steps)} sub-steps (beta, fraction)" if steps else "", _few(steps)),

@@ -229,7 +229,7 @@ def residuals(
     plot.drift(runs, axes, styles=styles)
     low, high = zip(*(ax.get_ylim() for ax in axes))
     found = []
-    for what, figure, ax, caption in zip(("D", "D_eps"), figures, axes, captions):
+    for what, figure, ax, caption in zip(("D", "D_ε"), figures, axes, captions):
         ax.set(ylim=(min(low), max(high)), ylabel="relative residual")
         lines, names = ax.get_legend_handles_labels()
         if not names:

@@ -105,10 +105,10 @@ def _sections(studies: Studies, runs: dict[int, Solution]) -> Iterator[web.Secti
         title = f"{_kind(some[0])}: {', '.join(study.scheme.name for study in some)}"
         yield title, "", [("", "", _pictures(some, runs, styles, f"more{k}"))]
     words = (
-        "p and s are slopes of the one-step errors from exact data, minus 1, over the points at "
-        "least 100 times above the round-off floor; s is the order of the scheme's own "
-        "multipliers. A scheme holds if p, or the order at the end, and s are at least the "
-        "promised ones minus 0.2 and its set is kept to roundoff."
+        "The order p is the slope of the one-step errors, minus 1. The order s is the same for the "
+        "scheme's own multipliers. Only errors at least 100 times above roundoff count. The "
+        "verdict is 'holds' under two conditions. First, s, and either p or the order at the end, "
+        "are at least the promised orders minus 0.2. Second, the constraint holds to roundoff."
     )
     tables = [("", "", of_study(study)) for study in studies]
     yield "Tables", words, [("", "", overview(studies)), *tables]
@@ -128,17 +128,18 @@ def _about(studies: Studies) -> str:
     initial = _initial(studies)
     kept = f" Schemes with kept nodes start with `initial={initial!r}`." if initial else ""
     return (
-        f"Runs go from t = {first.t0:g} to {first.t_end:g}{unit(system, 't')}, start in {start}, "
-        f"v = ({velocity}), and are compared with {other}.{kept} Numbers without a unit are in the units of the model."
+        f"The runs go from t = {first.t0:g} to {first.t_end:g}{unit(system, 't')}. They start at "
+        f"{start}, v = ({velocity}), and are compared with {other}.{kept} "
+        "Numbers without a unit are in the units of the model."
     )
 
 
 _WORDS = (
-    "Errors are the largest of (q, v) at the end of the interval; triangles have whole slopes, and "
-    "hollow markers lie too close to roundoff to count for the fitted order in the legend. A "
-    "scheme with moved nodes keeps D, one with kept nodes D_eps; schemes with several sub-steps "
-    "have no D_eps. Of each run the largest residual in each of 50 stretches is drawn; exact zeros "
-    "are drawn at 1e-17, and the dashed line is the unit roundoff u."
+    "The error is the largest component of the error of (q, v) at the end of the interval. The "
+    "legend has the fitted orders; hollow markers are too close to roundoff to count. A scheme "
+    "with moved nodes satisfies D, and one with kept nodes satisfies D_ε. Schemes with several "
+    "sub-steps have no D_ε. The residual plots show the largest residual in each of 50 parts of a run. "
+    "Exact zeros are drawn at 1e-17; the dashed line is the unit roundoff u."
 )
 
 
@@ -182,7 +183,7 @@ def _pictures(
             panels.convergence(studies, f"{name}-errors", styles, "Errors over the step size."),
             panels.energies(these, f"{name}-energy", styles, energy),
             *panels.residuals(
-                these, name, styles, ["The constraint in D.", "The constraint in D_eps."]
+                these, name, styles, ["The residual of D.", "The residual of D_ε."]
             ),
         ]
     )

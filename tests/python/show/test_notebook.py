@@ -90,7 +90,7 @@ def test_other_runs():
     """Kept nodes, no constraints, a reference, one that failed, one that keeps nothing."""
     particle = dal.systems.particle()
     nodes = dal.integrate(particle, "midpoint-nodes", h=0.1, steps=20, initial="shift")
-    assert Page(nodes._repr_html_()).cell("D_eps").startswith("kept to roundoff")
+    assert Page(nodes._repr_html_()).cell("D_ε").startswith("kept to roundoff")
     free = dal.System(mass=[1, 1], force=lambda t, q, v: -v, q0=[0, 0], v0=[1, 1], name="free")
     page = Page(dal.integrate(free, h=0.1, steps=20)._repr_html_())
     assert page.cell("D") == "no constraints"
@@ -144,7 +144,7 @@ def test_a_journal_of_kept_nodes(tmp_path):
     dal.integrate(
         dal.systems.particle(), "midpoint-nodes", h=0.1, steps=20, initial="D", journal=path
     )
-    cell = Page(dal.load(path)._repr_html_()).cell("D_eps")
+    cell = Page(dal.load(path)._repr_html_()).cell("D_ε")
     assert cell.startswith("kept to roundoff") and cell.endswith("at 20 of 21 states")
 
 
@@ -172,7 +172,7 @@ def test_a_scheme(shown):
     assert page.cell("promises") == "p = 8, s = 0" and page.cell("keeps") == "D"
     assert page.cell("34 sub-steps").endswith(", ...") and "Kahan and Li" in page.cell("from")
     kept = Page(dal.Scheme.find("midpoint-nodes")._repr_html_())
-    assert kept.cell("keeps") == "D_eps, at kept nodes"
+    assert kept.cell("keeps") == "D_ε, at kept nodes"
     own = Page(dal.Scheme([(0.3, 1.0)], name="<own>", help="a & b")._repr_html_())
     assert own.cell("promises") == "nothing" and "<own>" in own.words and "A & b." in own.words
     assert "sub-steps" not in Page(dal.Scheme.pair()._repr_html_()).words

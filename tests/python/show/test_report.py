@@ -70,7 +70,7 @@ def test_the_parts_stand_in_order(text):
     places = [
         text.index(f'aria-label="{word}')
         for word in ("Errors", "Relative error", "Relative residual of D ",
-                     "Relative residual of D_eps")
+                     "Relative residual of D_ε")
     ]
     folded = [text.index(f"<summary>{word}") for word in ("Tables", "How to reproduce")]
     places += folded
@@ -86,7 +86,7 @@ def said(text, what):
 def test_what_is_seen_is_said(studies, text):
     """Slopes, errors, residuals and energies in words, computed another way."""
     (errors,), (in_D,), (in_D_eps,) = (
-        said(text, x) for x in ("Errors", "Relative residual of D ", "Relative residual of D_eps")
+        said(text, x) for x in ("Errors", "Relative residual of D ", "Relative residual of D_ε")
     )
     (energy,) = said(text, "Relative error of the energy")
     for study in studies:

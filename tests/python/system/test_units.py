@@ -216,7 +216,7 @@ def test_pages_and_reports(sleigh):
     assert "<td>0.3 rad</td>" in text and "<td>1 rad/s</td>" in text
     study = dal.studies(sleigh, ["midpoint"], steps=(10, 15, 20))
     words = dal.show.report.page(study)
-    assert "start in x = 0 m, y = 0 m, theta = 0.3 rad, v = (" in words
+    assert "They start at x = 0 m, y = 0 m, theta = 0.3 rad, v = (" in words
     assert "Numbers without a unit are in the units of the model." in words
 
 
