@@ -138,8 +138,8 @@ _WORDS = (
     "The error is the largest component of the error of (q, v) at the end of the interval. The "
     "legend has the fitted orders; hollow markers are too close to roundoff to count. A scheme "
     "with moved nodes satisfies D, and one with kept nodes satisfies D_ε. Schemes with several "
-    "sub-steps have no D_ε. The residual plots show the largest residual in each of 50 parts of a run. "
-    "Exact zeros are drawn at 1e-17; the dashed line is the unit roundoff u."
+    "sub-steps have no D_ε. The residual plots show the largest residual in each of 50 parts of "
+    "a run. Exact zeros are drawn at 1e-17; the dashed line is the unit roundoff u."
 )
 
 
