@@ -1,9 +1,9 @@
-"""Nonholonomic mechanics and its structure preserving integrators.
+"""Nonholonomic mechanics and its structure-preserving integrators.
 
-A system is a triple (Q = R^n, L, D) with L = v^T M v / 2 - V(q) and D = {mu(q) v = 0}.  The
-integrators discretise the Lagrange-d'Alembert principle, after F. Jimenez and J. Scheurle, "On the
-discretization of nonholonomic dynamics in R^n" (arXiv 1407.2116), so that D, or a known
-deformation of it, is kept to roundoff.
+A system is a triple (Q = R^n, L, D), such as ``L = v^T M v / 2 - V(q)`` and ``D = {mu(q) v = 0}``.
+The integrators discretise the Lagrange-d'Alembert principle, after F. Jimenez and J. Scheurle, "On
+the discretization of nonholonomic dynamics in R^n" (arXiv 1407.2116).  They preserve D, or a known
+deformation of it, to roundoff.
 
 >>> import dalembert as dal
 >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.01, t_end=10)

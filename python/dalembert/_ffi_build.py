@@ -1,8 +1,8 @@
 """Write the C source of the extension ``dalembert._core``.
 
-Usage: ``python _ffi_build.py HEADER... _core.c``, a header after those that it includes.
+Usage: ``python _ffi_build.py HEADER... _core.c``, with each header after those that it includes.
 
-The declarations are the parts of the public headers between their cdef marks, so that C and Python
+The declarations are the parts of the public headers between their cdef marks, so C and Python
 cannot disagree.  Only the trampolines, through which C calls Python, are added here.
 """
 
@@ -59,12 +59,12 @@ FOR_TESTS = "void dal__beta_any_sizes(dal_stepper *stepper);\n"
 
 
 def declarations(header: str) -> str:
-    """Return what stands between the cdef marks of ``header``, without the export macro.
+    """Return the declarations between the cdef marks of ``header``, without the export macro.
 
     Raises
     ------
     ValueError
-        If the two marks are not there exactly once and in order.
+        Unless each of the two marks occurs exactly once, in order.
     """
     if header.count(OPENING) != 1 or header.count(CLOSING) != 1:
         raise ValueError(f"expected {OPENING} and {CLOSING} exactly once each")
@@ -75,9 +75,9 @@ def declarations(header: str) -> str:
 
 
 def write_extension(headers: list[Path], output: Path) -> None:
-    """Write to ``output`` the C source of the extension over the functions of ``headers``.
+    """Write to ``output`` the C source of the extension for the functions of ``headers``.
 
-    The public ones, beside the first or below it, are included by the source, private ones not.
+    The source includes public headers, in the folder of the first or below it, not private ones.
     """
     ffi = FFI()
     root = headers[0].parent

@@ -1,11 +1,12 @@
-"""Compiles generated C, and keeps what was compiled.
+"""Compilation of generated C, and the cache of compiled models.
 
-The compiler is ``$CC``, else the first of cc, gcc and clang.  What it made is kept in
-``$DALEMBERT_CACHE``, else ``$XDG_CACHE_HOME/dalembert``, else ``~/.cache/dalembert``: one file for
-each model, version of the package and of SymPy, compiler and flags, with the C beside it.  A file
-is written under another name and renamed, and ends in a digest of itself, so that processes may
-write the same one at once, and what was cut short or comes from elsewhere is made again.  It is
-loaded only if nobody else could have written it.
+The compiler is ``$CC``, else the first of cc, gcc and clang.  The cache is ``$DALEMBERT_CACHE``,
+else ``$XDG_CACHE_HOME/dalembert``, else ``~/.cache/dalembert``.  It has one file, with the C beside
+it, for each model, version of the package and of SymPy, compiler and flags.
+
+A file is written under a temporary name and renamed, so several processes may write the same file
+at once.  It ends with a digest of itself, so truncated and foreign files are compiled again.  It is
+loaded only if no other user could have written it.
 """
 
 from __future__ import annotations
@@ -39,10 +40,10 @@ __all__ = ["Compiler", "CompilerError", "Library", "clear", "entries", "find", "
 
 
 def _for_processor() -> tuple[str, ...]:
-    """Return the flags for what this processor has; it is part of the key of what is kept.
+    """Return the flags for this processor; they are part of the key in the cache.
 
-    AVX has instructions with a result of their own, which save a sixth of those of a step.  It has
-    none that round once where others round twice, so the bits are the same.
+    AVX has instructions with three operands, which save a sixth of the instructions of a step.  It
+    has no fused operations with a single rounding, so the bits are the same.
     """
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
@@ -80,7 +81,7 @@ Program = Callable[[], tuple[str, Origin]]
 
 
 class CompilerError(DalembertError):
-    """The C compiler refused a generated program, or could not be run."""
+    """The C compiler rejected a generated program, or could not be executed."""
 
 
 # ---- the compiler ------------------------------------------------------------------------------
@@ -93,9 +94,9 @@ class Compiler:
     Attributes
     ----------
     command : tuple of str
-        What runs it.
+        The command that runs the compiler.
     identity : str
-        What tells it from another one, or from another version of itself.
+        A text that identifies the compiler and its version.
     """
 
     command: tuple[str, ...]
@@ -123,9 +124,10 @@ def find() -> Compiler | None:
 
 
 def _flags_for_lanes(compiler: Compiler) -> tuple[str, ...]:
-    """Return the flags of a program with lanes, which say how much of libmvec there is.
+    """Return the flags of a program with lanes, which declare the available parts of libmvec.
 
-    It belongs to libm; its functions came with glibc 2.22 and 2.35, and some of them are tried.
+    The library belongs to libm; its functions appeared in glibc 2.22 and 2.35.  The compiler tries
+    some of them.
     """
     if platform.machine() != "x86_64":
         return COMMON
@@ -147,13 +149,13 @@ def _flags_for_lanes(compiler: Compiler) -> tuple[str, ...]:
 def compile_program(
     compiler: Compiler, source: str, origin: Origin, lanes: bool = False
 ) -> bytes:
-    """Return the shared library made from a source.
+    """Return the shared library compiled from a source.
 
     Raises
     ------
     CompilerError
-        With the line of C that the compiler refused, and ``origin`` of its number: what it was
-        generated from.
+        If the compiler rejects the program.  The message has the line of C, and from ``origin`` the
+        expression from which it was generated.
     """
     _remove_left()
     flags = _flags_for_lanes(compiler) if lanes else FLAGS
@@ -171,9 +173,9 @@ def compile_program(
 
 
 def _run(command: list[str], root: Path) -> tuple[int, str]:
-    """Run a compiler in a directory; its status, and what it said.
+    """Run a compiler in a directory; return its status and its output.
 
-    It leads a group of processes of its own, which ends with it: after the limit, on Ctrl-C, too.
+    It leads a group of processes that is ended with it, also after the time limit or Ctrl-C.
     """
     try:
         process = subprocess.Popen(
@@ -196,7 +198,7 @@ def _run(command: list[str], root: Path) -> tuple[int, str]:
 
 
 def _remove_left() -> None:
-    """Remove the directories of compilers whose process was killed: our own, and too old."""
+    """Remove old directories of our own compilers whose process was killed."""
     for path in Path(tempfile.gettempdir()).glob(f"{_PLACE}*"):
         with contextlib.suppress(OSError):
             about = path.lstat()
@@ -206,7 +208,7 @@ def _remove_left() -> None:
 
 
 def _explain(command: list[str], source: str, printed: str, origin: Origin) -> str:
-    """Return what a compiler complained about, in words about the model."""
+    """Return the compiler's error message in terms of the model."""
     lines = [f"the C compiler refused a generated program: {shlex.join(command)}"]
     found = re.search(r"^model\.c:(\d+):.*error:\s*(.*)$", printed, flags=re.M)
     if found is None:
@@ -221,14 +223,14 @@ def _explain(command: list[str], source: str, printed: str, origin: Origin) -> s
 
 @functools.cache
 def _headers() -> dict[str, str]:
-    """Return the headers of the library, which are data of the package."""
+    """Return the headers of the library, which are package data."""
     place = importlib.resources.files(__package__).joinpath("include")
     return {name: place.joinpath(name).read_text(encoding="utf-8") for name in HEADERS}
 
 
 @functools.cache
 def _generator() -> str:
-    """Return a digest of what compiles: this module, the headers, the library and the flags."""
+    """Return a digest of all inputs of a compilation: this module, headers, library and flags."""
     digest = hashlib.sha256(repr((core.version(), FLAGS, platform.machine())).encode())
     digest.update(Path(__file__).read_bytes())
     for name, text in _headers().items():
@@ -240,7 +242,7 @@ def _generator() -> str:
 
 
 def folder() -> Path:
-    """Return where compiled models are kept.
+    """Return the folder of the cache of compiled models.
 
     Examples
     --------
@@ -256,7 +258,7 @@ def folder() -> Path:
 
 
 def entries() -> list[Path]:
-    """Return the compiled models that are kept, the largest first.
+    """Return the compiled models in the cache, the largest first.
 
     Examples
     --------
@@ -272,7 +274,7 @@ def entries() -> list[Path]:
 
 
 def clear() -> int:
-    """Remove all compiled models, and return how many there were."""
+    """Remove all compiled models, and return their number."""
     found = entries()
     left = folder().glob("*.new")  # of a process that was killed
     for path in (*found, *(path.with_suffix(".c") for path in found), *left):
@@ -281,12 +283,12 @@ def clear() -> int:
 
 
 def _sealed(content: bytes, key: str) -> bytes:
-    """Return a library with a digest of itself at its end, where the loader does not look."""
+    """Return a library with a digest of itself appended, which the loader ignores."""
     return content + _MARK + hashlib.sha256(content + key.encode()).digest()
 
 
 def _is_sound(path: Path, key: str) -> bool:
-    """Return whether a file is a whole library made for this key, that only the user can write."""
+    """Return whether a file is a complete library for this key that only the user can write."""
     _require_private(path)
     content = path.read_bytes()
     body = content[: -len(_MARK) - 32]
@@ -294,14 +296,14 @@ def _is_sound(path: Path, key: str) -> bool:
 
 
 def _require_private(path: Path) -> None:
-    """Raise OSError unless only the user can write to a file, or in a directory: it will be run."""
+    """Raise OSError unless only the user can write to a file or directory that will be executed."""
     about = path.stat()
     if about.st_uid != os.getuid() or stat.S_IMODE(about.st_mode) & 0o022:
         raise PermissionError(f"{path}: others can write there")
 
 
 def _store(directory: Path, key: str, source: str, content: bytes) -> Path:
-    """Write a library and its source, whole or not at all; OSError if that cannot be done."""
+    """Write a library and its source completely or not at all; OSError if that fails."""
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     _require_private(directory)
     path = directory / f"{key}.so"
@@ -312,7 +314,7 @@ def _store(directory: Path, key: str, source: str, content: bytes) -> Path:
 
 @functools.cache
 def _private_folder() -> tempfile.TemporaryDirectory[str]:
-    """Return a directory of this process, for when the cache cannot be written."""
+    """Return a directory of this process, used if the cache cannot be written."""
     return tempfile.TemporaryDirectory(prefix="dalembert-")
 
 
@@ -327,7 +329,7 @@ class Library:
     path : Path
         The file.
     definition : cdata
-        ``dal_system_def *``: what does not depend on parameters.
+        ``dal_system_def *``: the part that does not depend on parameters.
     """
 
     def __init__(self, path: Path) -> None:
@@ -353,23 +355,23 @@ _libraries: weakref.WeakValueDictionary[str, Library] = weakref.WeakValueDiction
 def library(
     key: str, versions: str, program: Program, lanes: bool = False
 ) -> Library | None:
-    """Return the library of a model, compiled now or before; None without a compiler.
+    """Return the library of a model, from the cache or compiled; None without a compiler.
 
     Parameters
     ----------
     key : str
         Digest of the model.
     versions : str
-        Of what derives the program from the model.
+        Versions of the code that derives the program from the model.
     program : callable
         ``program() -> (source, origin)``, called only if the library has to be compiled.
     lanes : bool, optional
-        Whether it has lanes, and is for all processors.
+        Whether the library has lanes, and is for all processors.
 
     Raises
     ------
     CompilerError
-        If the compiler refuses the program.
+        If the compiler rejects the program.
     """
     compiler = find()
     if compiler is None:
@@ -385,7 +387,7 @@ def library(
 def _load_or_compile(
     compiler: Compiler, key: str, program: Program, lanes: bool
 ) -> Library:
-    """Load a library from the cache, or make it and put it there."""
+    """Load a library from the cache, or compile it and store it there."""
     path = folder() / f"{key}.so"
     found = _load(path, key)
     if found is not None:
@@ -396,7 +398,7 @@ def _load_or_compile(
 
 
 def _load(path: Path, key: str) -> Library | None:
-    """Return a library of the cache; None if it is not there, or not to be trusted."""
+    """Return a library of the cache; None if it is missing or not trustworthy."""
     try:
         _require_private(path.parent)
         return Library(path) if _is_sound(path, key) else None
@@ -406,7 +408,7 @@ def _load(path: Path, key: str) -> Library | None:
 
 @contextlib.contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Wait until no other process is here for the same file; at once where that cannot be seen."""
+    """Wait while another process compiles the same file, if locks are available."""
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -418,7 +420,7 @@ def _alone(path: Path) -> Iterator[None]:
 
 
 def _compile(compiler: Compiler, key: str, program: Program, lanes: bool) -> Library:
-    """Make a library, and put it into the cache."""
+    """Compile a library, and store it in the cache."""
     path = folder() / f"{key}.so"
     source, origin = program()
     content = compile_program(compiler, source, origin, lanes)

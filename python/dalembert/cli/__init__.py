@@ -1,7 +1,8 @@
-"""The command ``dalembert``: runs, studies and pages of systems, what there is, and the cache.
+"""The command ``dalembert``: runs, studies and pages of systems, lists, and the cache.
 
-Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error, among
-them a file that cannot be written; 130 after Ctrl-C, 141 if nobody reads the output any more.
+Exit status: 0 if no verdict fails, 1 if one does or a computation fails.  It is 2 for a usage error
+or an output that cannot be written.  It is 130 after Ctrl-C, and 141 if the reader of the output
+has ended.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Without the name of the program.  Default: those of the process.
+        Arguments without the name of the program.  Default: those of the process.
 
     Returns
     -------
     int
-        See the module.
+        The exit status, see the module.
 
     Examples
     --------
@@ -82,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _in_words(error: OSError) -> str:
-    """Return the name of the file and what is wrong with it, without the number."""
+    """Return the name of the file and the error, without its number."""
     return f"{error.filename}: {error.strerror}" if error.filename else str(error)
 
 
@@ -91,7 +92,7 @@ def _say(given: argparse.Namespace, what: Any) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that suggests what may have been meant, as that of Python 3.14 can."""
+    """A parser that suggests similar options, as in Python 3.14."""
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
@@ -184,7 +185,7 @@ def _add_study_options(study: argparse.ArgumentParser) -> None:
 
 
 def _read(expected: str, read: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Return the type of an argument, which says what was expected where it cannot be read."""
+    """Return the type of an argument; its message has the expected form."""
 
     def convert(text: str) -> Any:
         try:
@@ -235,7 +236,7 @@ def _study(given: argparse.Namespace) -> int:
 
 
 def _output(given: argparse.Namespace) -> Path | None:
-    """Return where the report goes, if there is one; ValueError if a file cannot be written."""
+    """Return the path of the report, if any; raise ValueError if a file cannot be written."""
     output = None if given.no_report else given.output or Path("report.html")
     if output is not None:
         try:
@@ -254,7 +255,7 @@ def _output(given: argparse.Namespace) -> Path | None:
 
 
 def _require(check: Callable[[Path], None], path: str | Path) -> None:
-    """Check where output goes before any work; what is wrong there is an error of usage."""
+    """Check the output path before any work; a problem there is a usage error."""
     try:
         check(Path(path))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The command about many runs: ensemble."""
+"""The command ``ensemble`` for many runs."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _executor(text: str) -> str:
 
 @contextlib.contextmanager
 def _workers(text: str | None) -> Iterator[Any]:
-    """Give an executor, or None for threads."""
+    """Provide an executor, or None for threads."""
     if text is None:
         yield None
     elif text.startswith("dask://"):

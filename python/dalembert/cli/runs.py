@@ -1,4 +1,4 @@
-"""The commands about single runs: recommend, run, resume, info, export."""
+"""The commands for single runs: recommend, run, resume, info, export."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
 
 
 def _step(text: str) -> float | str:
-    """Return a number, or the word that `integrate` takes instead, or refuses."""
+    """Return a number, or the word, which `integrate` checks."""
     try:
         return float(text)
     except ValueError:
@@ -121,7 +121,7 @@ def _add_file(command: Any) -> None:
 
 
 def model(text: str, parameters: dict[str, float]) -> System:
-    """Return the system of an argument MODEL; ValueError if there is none."""
+    """Return the system of an argument MODEL; raise ValueError if there is none."""
     path, colon, name = text.rpartition(":")
     if text.endswith(".py"):
         raise ValueError(f"{text}: expected {text}:NAME, the name of a System in it")
@@ -141,7 +141,7 @@ def model(text: str, parameters: dict[str, float]) -> System:
 
 
 def parameters(given: argparse.Namespace) -> dict[str, float]:
-    """Return the values of ``--parameter``; ValueError if one is there twice."""
+    """Return the values of ``--parameter``; raise ValueError if one occurs twice."""
     found = dict(given.parameter)
     for name in found:
         if sum(name == other for other, _ in given.parameter) > 1:
@@ -161,7 +161,7 @@ def progress() -> bool:
 
 
 def _finish(given: argparse.Namespace, make: Callable[[], Solution], journal: Path | None) -> int:
-    """Make a run, print it, and write it; say how to go on if it breaks off."""
+    """Execute a run, print and write it; print how to resume it after an interruption."""
     if given.output is not None:
         require_suffix(given.output)
         files.require_writable(given.output)

@@ -1,4 +1,4 @@
-"""What all packages stand on: the C library, arguments, errors, callbacks, optional packages."""
+"""The common basis: the C library, arguments, errors, callbacks, optional packages."""
 
 from . import arguments, extras, files, functions, pointers
 from .arguments import Array, Pair

@@ -1,4 +1,4 @@
-"""What users give, and what their functions return, as the core takes it; or why not."""
+"""Conversion of arguments, and of results of the user's functions, for C, with error messages."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Pair = tuple[Array, Array]
 def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array:
     """Return ``value`` as C-contiguous doubles of one of the shapes.
 
-    ``None`` in a shape stands for any length.  Where the shape is (1,) a number does.
+    ``None`` in a shape stands for any length.  For the shape (1,) a number is accepted.
 
     Raises
     ------
     ValueError
-        With the name, what came and what was expected, if ``value`` is no array of real finite
-        numbers, or has another shape.
+        If ``value`` is not an array of real finite numbers, or has another shape.  The message has
+        the name, the value and the expected shape.
     """
     try:
         result = _reals(value)
@@ -46,7 +46,7 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
 
 
 def _reals(value: Any) -> Array:
-    """Return anything array-like as doubles that C can read; else TypeError or ValueError."""
+    """Return an array-like value as doubles that C can read; raise TypeError or ValueError."""
     if type(value) is np.ndarray and value.dtype == np.float64:
         result = np.ascontiguousarray(value).reshape(value.shape)
         return result if result.flags.aligned else result.copy()
@@ -73,7 +73,7 @@ def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
 
 
 def _shapes(shapes: Iterable[tuple[int | None, ...]]) -> str:
-    """Return shapes as Python writes them, with N for any length."""
+    """Return shapes in Python notation, with N for any length."""
     found = []
     for shape in shapes:
         lengths = ", ".join("N" if k is None else str(k) for k in shape)
@@ -103,7 +103,7 @@ def tolerance(value: Any) -> float:
 
 
 def step_size(value: Any, t: float, name: str = "h") -> float:
-    """Return ``value`` as a step size at the time t, negative to go backwards; else ValueError."""
+    """Return ``value`` as a step size at time t, negative to go backwards; raise ValueError."""
     h = number(value, name)
     if h == 0.0:
         raise ValueError(f"{name} = 0: expected a number other than 0, negative to go back in time")
@@ -132,7 +132,7 @@ def integer(value: Any, name: str, least: int, most: int = 2**63 - 1) -> int:
 
 
 def text(value: Any, name: str) -> str:
-    """Return ``value`` if it is a string without NUL, which C would end at; else ValueError."""
+    """Return ``value`` if it is a string without NUL; raise ValueError otherwise."""
     if not isinstance(value, str) or "\0" in value:
         raise ValueError(f"{name} = {shown(value)}: expected a string")
     return value
@@ -141,7 +141,7 @@ def text(value: Any, name: str) -> str:
 def names(value: Any, name: str, expected: str) -> list[str]:
     """Return several strings as a list; ValueError otherwise.
 
-    One string is its letters if it has nothing else, as "xyz", but not "x y" or "x, y".
+    A string of letters only, such as "xyz", stands for its letters; "x y" and "x, y" are errors.
     """
     try:
         result = list(value)
@@ -154,7 +154,7 @@ def names(value: Any, name: str, expected: str) -> list[str]:
 
 
 def function(value: Any, name: str, taken: str = "") -> None:
-    """Raise ValueError if ``value`` is neither None nor can be called, with what is taken."""
+    """Raise ValueError unless ``value`` is None or callable; the message has the arguments."""
     if value is None:
         return
     if not callable(value):
@@ -183,7 +183,7 @@ def mapping(value: Any, name: str) -> dict[Any, Any]:
 def units(value: Any, coordinates: Sequence[str]) -> dict[str, str]:
     """Return units of coordinates, of the time "t" and of the "energy"; ValueError otherwise.
 
-    A name that stands for two of these has no unit.
+    A name that denotes two of these has no unit.
     """
     found, known = mapping(value, "units"), [*coordinates, "t", "energy"]
     for key, unit in found.items():
@@ -198,7 +198,7 @@ def units(value: Any, coordinates: Sequence[str]) -> dict[str, str]:
 
 
 def parameter(value: Any, name: str) -> float:
-    """Return the value of a parameter, which may be a number of SymPy; ValueError otherwise."""
+    """Return the value of a parameter, which may be a SymPy number; ValueError otherwise."""
     try:
         return number(float(value) if hasattr(value, "is_number") else value, name)
     except TypeError:
@@ -208,19 +208,19 @@ def parameter(value: Any, name: str) -> float:
 def inputs(
     given: Any, names: Sequence[str], count: int, which: str = "a state", name: str = "inputs"
 ) -> Array:
-    """Return inputs as rows, shape (count, k): of an array, of a mapping from names; None: zero.
+    """Return inputs as rows, shape (count, k), from an array or a mapping; zeros for None.
 
     Parameters
     ----------
     given : array_like, shape (k,) or (count, k), or mapping, or None
-        Of a mapping each value is a number or an array of shape (count,), and all names are there.
+        A mapping has all names; each value is a number or an array of shape (count,).
     names : sequence of str
         The k names.
     count : int
     which : str, optional
-        What a row is for, in messages.
+        The owner of a row, for messages.
     name : str, optional
-        Of the argument.
+        Name of the argument, for messages.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str = "") -
 
 
 def choice(value: Any, name: str, choices: dict[str, int]) -> int:
-    """Return the number of an option that is given by its name; ValueError otherwise."""
+    """Return the number of an option given by name; ValueError otherwise."""
     if not isinstance(value, str) or value not in choices:
         raise ValueError(
             f"{name} = {shown(value)}: {suggestion(value, choices)}expected one of "
@@ -272,7 +272,7 @@ def truth(value: Any, name: str, default: bool) -> bool:
 
 
 def suggestion(value: Any, names: Iterable[str]) -> str:
-    """Return "did you mean ...? " with the one of the names that is close to ``value``, or ""."""
+    """Return "did you mean ...? " with the name closest to ``value``, or ""."""
     plain = {name.replace("-", "_").lower(): name for name in names}
     asked = value.replace("-", "_").lower() if isinstance(value, str) else ""
     nearest = difflib.get_close_matches(asked, plain, n=1)
@@ -280,7 +280,7 @@ def suggestion(value: Any, names: Iterable[str]) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return what a message shows of a value: its repr, cut off where that is long."""
+    """Return the repr of a value, truncated if it is long, for a message."""
     try:
         text = repr(value)
     except Exception:  # an integer of more digits than Python prints, or an object of the user's
@@ -289,7 +289,7 @@ def shown(value: Any) -> str:
 
 
 def shape(value: Any) -> Any:
-    """Return the shape of what a callback returned, or in words why it has none."""
+    """Return the shape of a callback's result, or in words why it has none."""
     try:
         return "None" if value is None else np.shape(value)
     except ValueError:
@@ -297,12 +297,13 @@ def shape(value: Any) -> Any:
 
 
 def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:
-    """Return what the callback ``name`` returned as doubles of ``shape``; NaN is left to C.
+    """Return the result of the callback ``name`` as doubles of ``shape``; C checks for NaN.
 
     Raises
     ------
     ValueError
-        With the name, what came and what was expected.
+        If the result has another type or shape.  The message has the name, the result and the
+        expected shape.
     """
     try:
         result = _reals(value)

@@ -1,4 +1,4 @@
-"""The trampolines, through which C calls the functions of users."""
+"""The trampolines through which C calls the functions of users."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _PLAIN = ("lagrangian", "force", "deformation")
 
 
 class Callables:
-    """A user's functions, and the shapes of what they return, of n coordinates, m constraints.
+    """A user's functions, and the shapes of their results, for n coordinates and m constraints.
 
-    The force, and driven constraints, take inputs, if there are any, as their last argument.
-    ``timed``: all take the time as their first.  ``entries``: of linear forms, which then are no
-    matrix.
+    The last argument of the force, and of driven constraints, is the inputs, if there are any.
+    ``timed``: the first argument of all is the time.  ``entries``: the number of entries that
+    sparse linear forms return instead of a matrix.
     """
 
     def __init__(
@@ -52,14 +52,14 @@ class Callables:
 
 
 def _doubles(value: Any, shape: tuple[int, ...], name: str) -> Array:
-    """Return what a callback returned as C-contiguous doubles; such an array as it is."""
+    """Return a callback's result as C-contiguous doubles, without a copy if possible."""
     if type(value) is not _ndarray or value.dtype is not _double or value.shape != shape:
         return returned(value, shape, name)
     return value if value.flags.c_contiguous else value.copy()
 
 
 def _write(target: Any, value: Any, shape: tuple[int, ...], name: str) -> None:
-    """Copy what a callback returned to ``target``."""
+    """Copy a callback's result to ``target``."""
     if not shape and isinstance(value, float):
         target[0] = value
         return
@@ -68,13 +68,13 @@ def _write(target: Any, value: Any, shape: tuple[int, ...], name: str) -> None:
 
 
 def _remember(kind: type[BaseException], value: BaseException, traceback: Any) -> int:
-    """Keep the exception of a callback until C has returned, and say so to C."""
+    """Keep the exception of a callback until C has returned, and return its status to C."""
     _keep(kind, value, traceback)
     return 1 if isinstance(value, DomainError) else lib.DAL_EUSER
 
 
 def _keep(kind: type[BaseException], value: BaseException, traceback: Any) -> None:
-    """Keep the exception of a callback that asks to stop by a positive number, so not with one."""
+    """Keep the exception of a watch, which returns a positive number to C by itself."""
     raised.exception = value.with_traceback(traceback)
 
 
@@ -109,7 +109,7 @@ def _inputs(call: Callables, u: Any) -> tuple[Any, ...]:
 def _define(callback: str, driven: bool = False) -> None:
     """Define the trampoline of a plain callback: (t, q, v, an address for each output, context).
 
-    That of the force, or of driven constraints, has the inputs before the outputs.
+    For the force, and for driven constraints, the inputs precede the outputs.
     """
     is_force = callback == "force"
     takes_inputs = is_force or driven
@@ -216,7 +216,7 @@ _OF_DERIVATIVES = tuple(f"derivatives (d{x}/d{q})" for x in "gf" for q in ("q0",
 def _write_several(
     targets: tuple[Any, ...], values: Any, shape: tuple[int, ...], names: tuple[str, ...]
 ) -> None:
-    """Copy what a callback returned as a tuple to as many targets."""
+    """Copy a callback's result, a tuple, to as many targets."""
     try:
         several = tuple(values)
     except TypeError:
@@ -250,14 +250,14 @@ def dal_py_watch(t: float, ctx: Any) -> int:
 
 
 def ignore(t: float) -> None:
-    """Do nothing, now and then in what computes for long, so that Ctrl-C is seen."""
+    """Do nothing; called now and then in long computations, so that Ctrl-C is noticed."""
 
 
 @contextlib.contextmanager
 def watching(one: Any, show: Callable[[float], Any] = ignore) -> Iterator[None]:
-    """Let Ctrl-C end what a C object computes.
+    """Let Ctrl-C interrupt the computation of a C object.
 
-    ``show(t)`` is called some times a second with the time where it is, or its steps.
+    ``show(t)`` is called several times a second with the current time, or the number of steps.
     """
     watch, context = getattr(lib, f"dal_{name_of(one)}_watch"), ffi.new_handle(show)
     watch(one, lib.dal_py_watch, context)

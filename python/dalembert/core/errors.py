@@ -1,17 +1,17 @@
-"""Calls of C, and the exceptions that they end in.
+"""Calls of C, and their exceptions.
 
 How an exception of a user's function reaches the user:
 
 1. A public function calls C through :func:`attempt` or :func:`make`.  C holds no lock of Python.
 2. C calls a trampoline (``dal_py_potential``, ...), which calls the user's function.
 3. The function raises.  The trampoline's ``onerror`` keeps the exception for this thread and
-   returns ``DAL_EUSER`` to C (a positive number for a :class:`DomainError`, so that C may try a
-   shorter Newton step).
-4. C unwinds, leaves its state as it was, and returns its status.
-5. :func:`failure` sees the status and hands out the exception that was kept, with its traceback.
+   returns ``DAL_EUSER`` to C.  For a :class:`DomainError` it returns a positive number, and C may
+   try a shorter Newton step.
+4. C unwinds, leaves its state unchanged, and returns its status.
+5. :func:`failure` checks the status and returns the kept exception, with its traceback.
 
-What is kept belongs to the thread, not to an object: threads may share a system, and a callback
-may itself integrate, because an exception is kept only when the callback has already been left.
+The kept exception belongs to the thread, not to an object, so threads may share a system.  A
+callback may itself integrate, because an exception is kept only after the callback has ended.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .library import ffi, lib, pointer, string
 
 
 class DalembertWarning(UserWarning):
-    """A result was computed, and there is reason to doubt it."""
+    """The result of a computation may be doubtful."""
 
 
 class DalembertError(RuntimeError):
@@ -40,12 +40,12 @@ class DalembertError(RuntimeError):
     status : int
         The status of the C library, see ``dal_status`` in ``dalembert.h``.
     step : int or None
-        Number of steps that were made before the failure, in a run; in an evaluation of stacked
-        states, the row that failed.
+        Number of steps before the failure of a run; in an evaluation of stacked states, the row
+        that failed.
     t : float or None
-        Time of the last good state of a run.
+        Time of the last valid state of a run.
     partial : Solution or None
-        The part of a run that was computed.
+        The part of the run before the failure.
     """
 
     status: int = lib.DAL_EUSER
@@ -86,17 +86,17 @@ class NotOnConstraintError(DalembertError, ValueError):
 
 
 class DomainError(DalembertError):
-    """A function is not defined where it was asked for: NaN, Inf, or raised by a callback.
+    """A function is not defined at a state: it returned NaN or Inf, or raised this exception.
 
-    A callback may raise it for a ``q`` outside its domain: Newton's iteration then tries a shorter
-    step before the run fails.
+    A function of the system may raise it for a ``q`` outside its domain.  Newton's iteration then
+    tries a shorter step before the run fails.
     """
 
     status = lib.DAL_EDOMAIN
 
 
 class ZenoError(DalembertError):
-    """Events accumulate, or a system rests on one after its reset: the run cannot go on."""
+    """Events accumulate, or a system rests on one after its reset, so the run has to stop."""
 
     status = lib.DAL_EZENO
 
@@ -133,7 +133,7 @@ raised = _Raised()
 def attempt(function: Callable[..., int], *arguments: Any) -> int:
     """Call a C function that may call back; return its status for :func:`failure`.
 
-    C gets the addresses of arrays, which hold what it expects.
+    Arrays among the arguments are passed by address, and have to be of the right type and size.
     """
     raised.exception = None
     return function(*[pointer(x) if isinstance(x, np.ndarray) else x for x in arguments])
@@ -148,8 +148,8 @@ def failure(
 ) -> BaseException:
     """Return the exception for a status that is not success.
 
-    It is the very exception that a callback raised, where this is why C failed: what is outside a
-    domain C may step around, and fail later for another reason.
+    If a callback's exception caused the failure, that exception is returned.  A DomainError may be
+    unrelated, because C may avoid the point and fail later for another reason.
     """
     exception, raised.exception = raised.exception, None
     refused = status == lib.DAL_EDOMAIN and (not message or "outside its domain" in message)
@@ -175,7 +175,7 @@ def check(status: int, message: str = "", *, step: int | None = None) -> None:
 def verify(
     status: int, source: Any, kind: str = "linear", *, hint: str = "", **where: Any
 ) -> None:
-    """As :func:`check`, with the words of a C object, see :func:`words`; step and t say where."""
+    """Raise like :func:`check`, with the message of a C object (see :func:`words`), step and t."""
     if status < 0:
         raise failure(status, words(source, kind) + hint, **where)
 
@@ -190,13 +190,13 @@ def call(
 def make(kind: str, *arguments: Any, owner: Any = None) -> Any:
     """Return a C object ``dal_<kind>`` from ``dal_<kind>_new(&object, *arguments, &error)``.
 
-    It is freed with the last reference to it, and keeps ``owner`` alive until then.
+    The object is freed with the last reference to it, and keeps ``owner`` alive until then.
     """
     return adopt(kind, getattr(lib, f"dal_{kind}_new"), *arguments, owner=owner)
 
 
 def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None) -> Any:
-    """As :func:`make`, for a constructor of another name."""
+    """Return a C object like :func:`make`, for a constructor of another name."""
     slot, error = ffi.new(f"dal_{kind} **"), ffi.new("dal_error *")
     verify(attempt(new, slot, *arguments, error), error)
     free = getattr(lib, f"dal_{kind}_free")
@@ -208,16 +208,16 @@ def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None
 
 
 def name_of(one: Any) -> str:
-    """Return what a C object is: ``chart`` for a ``dal_chart *``."""
+    """Return the type of a C object: ``chart`` for a ``dal_chart *``."""
     name: str = ffi.typeof(one).item.cname
     return name.split()[-1].removeprefix("dal_")
 
 
 def words(source: Any, kind: str = "linear") -> str:
-    """Return the text of a ``dal_error``, with the names that users of Python gave.
+    """Return the text of a ``dal_error``, with the names used in Python.
 
-    The ``source`` is the record, or the C object that keeps it; ``kind`` is that of the
-    constraints, whose functions it may be about.
+    The ``source`` is the record, or the C object that owns it.  The ``kind`` of the constraints
+    determines the names of their functions.
     """
     name = name_of(source)
     error = source if name == "error" else getattr(lib, f"dal_{name}_error")(source)

@@ -1,4 +1,4 @@
-"""The packages that are extras: matplotlib, Jinja2, rich, SymPy, latex2mathml, tqdm, xarray."""
+"""Optional packages: matplotlib, Jinja2, rich, SymPy, latex2mathml, tqdm, xarray."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _PACKAGES = {"PIL": "pillow"}
 
 
 def require(module: str, purpose: str) -> Any:
-    """Import a module of an extra.
+    """Import a module of an optional package.
 
     Raises
     ------
     ImportError
-        If it is not installed; the text has the line to type.
+        If it is not installed.  The message has the command that installs it.
 
     Examples
     --------
@@ -46,7 +46,7 @@ def require(module: str, purpose: str) -> Any:
 
 
 class Later:
-    """A module of this package that needs SymPy: imported when something of it is used first."""
+    """A module of this package that needs SymPy, imported on first use."""
 
     def __init__(self, package: str, name: str) -> None:
         self._module = f"{package}.{name}"
@@ -64,12 +64,12 @@ def is_there(package: str) -> bool:
 def progress(
     wanted: Progress, total: float, unit: str
 ) -> contextlib.AbstractContextManager[Show]:
-    """Give a function of how much is done that shows it: by a bar, to a function, or not at all.
+    """Provide a function that shows the progress, by a bar, by a user's function, or not at all.
 
     Raises
     ------
     ValueError
-        If ``wanted`` is neither a truth value nor a function.
+        If ``wanted`` is neither a truth value nor callable.
     ImportError
         If a bar is wanted and tqdm is not installed.
     """

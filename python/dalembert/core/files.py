@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 def require_writable(path: str | Path) -> None:
-    """Raise OSError, with the name of the file, if `write` could not begin; nothing is changed."""
+    """Raise OSError, with the name of the file, if `write` would fail; change nothing."""
     target = Path(path)
     if target.is_dir():
         raise OSError(errno.EISDIR, "this is a folder, expected the name of a file", str(target))
@@ -27,7 +27,7 @@ def require_writable(path: str | Path) -> None:
 
 @contextlib.contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Let an OSError name this file."""
+    """Add the name of this file to an OSError."""
     try:
         yield
     except OSError as error:
@@ -44,12 +44,12 @@ def require_folder(path: str | Path) -> None:
 
 
 def write(path: str | Path, text: str) -> None:
-    """Write a file of text; one that is there is replaced when the new one is complete.
+    """Write a text file; an existing file is replaced when the new one is complete.
 
     Raises
     ------
     OSError
-        With the name of the file; what was there before is there still.
+        If the file cannot be written.  The message has its name, and an existing file is unchanged.
     """
     target = Path(path)
     require_writable(target)
@@ -62,7 +62,7 @@ def write(path: str | Path, text: str) -> None:
 
 @contextlib.contextmanager
 def _draft(target: Path, content: bytes | memoryview) -> Iterator[Path]:
-    """Give a file with this content beside a target, on the disk; it is removed if it is left."""
+    """Provide a file with this content beside a target, on the disk; remove it if it remains."""
     draft = target.with_name(f".{target.name[:64]}.{secrets.token_hex(8)}.new")
     try:
         with open(draft, "xb") as file:
@@ -76,7 +76,7 @@ def _draft(target: Path, content: bytes | memoryview) -> Iterator[Path]:
 
 
 def replace(target: Path, content: bytes | memoryview, mode: int | None = None) -> None:
-    """Write a file under another name, with permissions if they are given, and rename it."""
+    """Write a file under a temporary name, with the given permissions, and rename it."""
     with _draft(target, content) as draft:
         if mode is not None:
             draft.chmod(mode)
@@ -86,16 +86,16 @@ def replace(target: Path, content: bytes | memoryview, mode: int | None = None) 
 
 
 def create(target: Path, content: bytes) -> None:
-    """Write a new file under another name, and give it its own; FileExistsError if it is there."""
+    """Write a new file under a temporary name, and rename it; FileExistsError if it exists."""
     with _draft(target, content) as draft:
         os.link(draft, target)
 
 
 def is_draft(path: Path) -> bool:
-    """Return whether a file is what `replace` was writing, or has left where it was killed."""
+    """Return whether a file is a temporary one of `replace`, or the remains of a killed process."""
     return path.name.startswith(".") and path.suffix == ".new"
 
 
 def _is_device(target: Path) -> bool:
-    """Return whether this is a pipe, a terminal or the like, which cannot be replaced."""
+    """Return whether this is a pipe, a terminal or a similar device, which cannot be replaced."""
     return target.exists() and not target.is_file() and not target.is_dir()

@@ -1,6 +1,6 @@
-"""The functions of users: their names, what they take, and which outputs of C's callbacks they are.
+"""The functions of users: their names, arguments, and outputs in the callbacks of C.
 
-An output is called as in C: V_q is the derivative of V by q, of n numbers.
+An output has its name in C: V_q is the derivative of V by q, n numbers.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ OF_TIME = ("constraint_t", "lagrangian_vt")
 
 
 def is_of_constraint(name: str) -> bool:
-    """Return whether a function is that of constraints, or a derivative of theirs."""
+    """Return whether a function is the constraint, or one of its derivatives."""
     return name.startswith(("forms", "affine", "constraint"))
 
 
 def taken(name: str, inputs: int = 0, timed: bool = False, driven: bool = False) -> str:
-    """Return what a function takes; of forces after the state the inputs, if there are any.
+    """Return the arguments of a function; for forces the inputs follow the state, if there are any.
 
-    ``timed``: of a system that depends on time.  ``driven``: the constraints take inputs as well.
+    ``timed``: the system depends on time.  ``driven``: the constraints take inputs as well.
     """
     takes_inputs = name in OUTPUTS["force"].values() or (driven and is_of_constraint(name))
     takes_inputs = takes_inputs and inputs > 0
@@ -83,7 +83,7 @@ MISSING: dict[str, int] = {
 
 
 def outputs(kind: str) -> dict[str, str]:
-    """Return what outputs are called in Python, for constraints of a kind."""
+    """Return the names of outputs in Python, for constraints of a kind."""
     return {
         output: name
         for key in ("potential", "lagrangian", "force", kind)
@@ -92,28 +92,25 @@ def outputs(kind: str) -> dict[str, str]:
 
 
 def shape(output: str, n: int, m: int) -> tuple[int, ...]:
-    """Return the shape of an output: that of what is differentiated, and n for each derivative.
-
-    That by time adds nothing.
-    """
+    """Return the shape of an output: that of the function, and n for each derivative by q or v."""
     name, _, variables = output.partition("_")
     whole = {"f": (n,), "phi": (m,), "g": (m,)}.get(name, ())
     return whole + (n,) * len(variables.replace("t", ""))
 
 
 def _given_by(output: str, kind: str) -> list[str]:
-    """Return the functions that an output is made of: one, or two for affine constraints."""
+    """Return the functions that supply an output: one, or two for affine constraints."""
     return re.findall(r"\w+", outputs(kind)[output])
 
 
 def differenced(bits: int, kind: str) -> tuple[str, ...]:
-    """Return the functions that are not given, of a sum of ``dal_missing``; those of D last."""
+    """Return the missing functions for a sum of ``dal_missing``; those of D last."""
     last = sorted(MISSING, key=lambda output: output.startswith("phi"))
     return tuple(x for output in last if bits & MISSING[output] for x in _given_by(output, kind))
 
 
 def missing(given: Mapping[str, Any], m: int, kind: str, timed: bool = False) -> int:
-    """Return the sum of ``dal_missing`` for the derivatives that are not given."""
+    """Return the sum of ``dal_missing`` for the missing derivatives."""
     names, bits = outputs(kind), 0
     for output, bit in MISSING.items():
         if names[output] in OF_TIME and not timed:

@@ -1,4 +1,4 @@
-"""A C system, and what it says about itself; and the C objects that functions work with."""
+"""C systems with their properties, and the C objects that functions work with."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ KINDS = {"linear": lib.DAL_LINEAR, "affine": lib.DAL_AFFINE, "nonlinear": lib.DA
 
 
 def first(values: Array, single: bool) -> Any:
-    """Return rows, or of a single one the row itself, which may be a number."""
+    """Return rows, or for a single state its row, which may be a number."""
     return values if not single else values[0] if values.ndim > 1 else float(values[0])
 
 
 class Workspaces:
-    """C objects that belong to one call at a time, of a system with constraints of a kind.
+    """C objects for use by one call at a time, for a system with constraints of a kind.
 
-    Threads, and callbacks that come back, each get one of their own, so nobody waits.
+    Threads and re-entrant callbacks get separate objects, so no call waits.
     """
 
     def __init__(self, new: Callable[[], Any], kind: str) -> None:
@@ -37,7 +37,7 @@ class Workspaces:
 
     @contextlib.contextmanager
     def lend(self) -> Iterator[Any]:
-        """Lend one of them."""
+        """Lend an object."""
         try:
             one = self._free.pop()
         except IndexError:
@@ -48,11 +48,11 @@ class Workspaces:
             self._free.append(one)
 
     def check(self, status: int, one: Any, step: int | None = None) -> None:
-        """Raise the exception of a status of one of them, unless it is success."""
+        """Raise the exception for a status of an object, unless it is success."""
         verify(status, one, self._kind, step=step)
 
     def call(self, function: Callable[..., int], *given: Any) -> Any:
-        """Call ``function(one, *given)``; a tuple stands for an array of this shape, see `rows`."""
+        """Call ``function(one, *given)``; a tuple stands for an output array, see `rows`."""
         arrays = _arrays(given, 1)
         with self.lend() as one:
             call(self._kind, function, one, *arrays)
@@ -61,12 +61,11 @@ class Workspaces:
     def rows(
         self, function: Callable[..., int], single: bool, *given: Any, inputs: Array | None = None
     ) -> Any:
-        """Call ``function(one, *given)`` for each row of the arrays among what is given.
+        """Call ``function(one, *given)`` for each row of the arrays in ``given``.
 
-        A tuple stands for an array that the function writes, with rows of this shape, a list for
-        a number of each row.  Returned are these arrays, or the one that there is; without rows if
-        there is a ``single`` one.
-        ``inputs`` has a row for each call, where the system takes any.
+        A tuple stands for an output array with rows of this shape, a list for a number per row.
+        The result is these arrays, or a single one, without the axis of rows if ``single``.
+        ``inputs`` has a row for each call, if the system has inputs.
         """
         count = next(len(x) for x in given if isinstance(x, np.ndarray))
         arrays = _arrays(given, count)
@@ -84,25 +83,25 @@ class Workspaces:
 
 
 def _arrays(given: Sequence[Any], count: int) -> list[Any]:
-    """Return what is given, with arrays of so many rows for shapes."""
+    """Return the arguments, with arrays of so many rows for shapes."""
     return [np.empty((count, *x)) if isinstance(x, tuple) else x for x in given]
 
 
 def _row(x: Any, k: int) -> Any:
-    """Return what C gets of an argument for row k."""
+    """Return the value for C of an argument for row k."""
     if isinstance(x, np.ndarray):
         return pointer(x, k)
     return x[k] if isinstance(x, list) else x
 
 
 def _outputs(given: Sequence[Any], arrays: Sequence[Any], single: bool) -> Any:
-    """Return the arrays that stand for shapes, or the one that there is."""
+    """Return the output arrays, or the single one."""
     made = [first(array, single) for x, array in zip(given, arrays) if isinstance(x, tuple)]
     return made[0] if len(made) == 1 else tuple(made)
 
 
 class Handle(Constant):
-    """A C system, and what it says about itself; see `dalembert.System`."""
+    """A C system and its properties; see `dalembert.System`."""
 
     n: int
     m: int
@@ -125,7 +124,7 @@ class Handle(Constant):
     _identity: Any  # what tells it from others, for JSON
 
     def _adopt(self, handle: Any) -> None:
-        """Take over a C system, and read what it says."""
+        """Take ownership of a C system, and read its properties."""
 
         def text(what: str, *given: int) -> str:
             return string(getattr(lib, f"dal_system_{what}")(handle, *given))
@@ -172,7 +171,7 @@ class Handle(Constant):
 
     @property
     def sparsity(self) -> tuple[NDArray[np.uintp], NDArray[np.uintp]] | None:
-        """Rows and columns of the entries of mu that may be other than 0; None: all."""
+        """Rows and columns of the entries of mu that may be nonzero; None: all."""
         given = lib.dal_system_sparsity(self._handle)
         if given == ffi.NULL:
             return None
@@ -183,12 +182,12 @@ class Handle(Constant):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Parameters of a system that comes with the library; empty for a user's own."""
+        """Parameters of a system of the library or of expressions; empty for functions."""
         return dict(self._parameters)
 
     @property
     def units(self) -> dict[str, str]:
-        """Units that were given, of coordinates, of the time "t" and of the "energy"."""
+        """The given units of coordinates, of the time "t" and of the "energy"."""
         return dict(self._units)
 
     def unit(self, name: str) -> str:
@@ -197,8 +196,8 @@ class Handle(Constant):
         Parameters
         ----------
         name : str
-            A coordinate; ``v_`` and a coordinate, whose velocity has its unit by that of the time;
-            "t"; or "energy".  Nothing else has a known unit.
+            A coordinate; ``v_`` and a coordinate, for its velocity; "t"; or "energy".  Other
+            quantities have no known unit.
 
         Examples
         --------
@@ -217,10 +216,10 @@ class Handle(Constant):
 
     @property
     def formulas(self) -> tuple[str, ...]:
-        """L, the constraints, and what else is in them or in names of invariants, a line each.
+        """Lines for L, the constraints, and abbreviations in these and in names of invariants.
 
-        ``v_x`` is the velocity of x, a blank a product, ``^`` a power.  Those of a system that was
-        made from expressions follow from these.
+        ``v_x`` is the velocity of x, a blank a product, ``^`` a power.  For a system from
+        expressions they are derived from these.
 
         Examples
         --------
@@ -236,7 +235,7 @@ class Handle(Constant):
 
 
 def require_autonomous(system: Any, what: str) -> None:
-    """Raise ValueError if an argument ``system`` is none, or depends on time but for a force."""
+    """Raise ValueError unless ``system`` is a System that depends on time in its force only."""
     require_system(system)
     if system.is_time_dependent:
         raise ValueError(
@@ -245,7 +244,7 @@ def require_autonomous(system: Any, what: str) -> None:
 
 
 def require_system(value: Any) -> None:
-    """Raise ValueError if an argument ``system`` is not one."""
+    """Raise ValueError unless ``system`` is a System."""
     if not isinstance(value, Handle):
         raise ValueError(
             f"system = {shown(value)}: expected a dalembert.System, as "

@@ -1,4 +1,4 @@
-"""The C library, and what its texts and numbers are in Python: the one module that sees `_core`."""
+"""The C library, with its texts and numbers in Python; the only module that imports `_core`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROUNDOFF = 2.0**-53  # the unit roundoff u
 
 
 def version() -> str:
-    """Return the version of the C library that is running."""
+    """Return the version of the running C library."""
     return string(lib.dal_version())
 
 
@@ -25,7 +25,7 @@ def string(text: Any) -> str:
 
 
 def strings(texts: list[str]) -> tuple[Any, list[Any]]:
-    """Return a ``const char *[]`` and what has to be kept alive with it."""
+    """Return a ``const char *[]`` and the objects to keep alive with it."""
     kept = [ffi.new("char[]", text.encode()) for text in texts]
     return ffi.new("const char *[]", kept), kept
 
@@ -38,8 +38,8 @@ def pointer(array: Array, row: int = 0, count: int = 0, *, output: bool = False)
     Raises
     ------
     ValueError
-        If the array does not hold C-contiguous doubles, so many after its row, or cannot be
-        written to.
+        If the array has fewer C-contiguous doubles from its row on, or is read-only for an
+        ``output``.
     """
     if array.dtype != np.float64:
         raise ValueError(f"an array of {array.dtype}: expected float64")
@@ -60,23 +60,23 @@ def doubles(address: Any, count: int) -> Array:
 
 
 def members(record: Any) -> dict[str, Any]:
-    """Return the members of a C record, which is given by its address."""
+    """Return the members of a C record, given by its address."""
     return {name: getattr(record, name) for name in _names(ffi.typeof(record))}
 
 
 @functools.cache
 def _names(pointer_to: Any) -> tuple[str, ...]:
-    """Return the names of the members of what a type points to."""
+    """Return the names of the members of the type of a pointer."""
     return tuple(name for name, _ in pointer_to.item.fields)
 
 
 def residual_bound(n: int) -> float:
-    """Return 4 n u: a relative residual up to this is roundoff of n coordinates."""
+    """Return 4 n u, the largest relative residual that is roundoff for n coordinates."""
     return 4 * n * ROUNDOFF
 
 
 class Constant:
-    """An object whose public attributes are set once: C counts on them."""
+    """An object whose public attributes are set once, because C relies on them."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in self.__dict__ and not name.startswith("_"):

@@ -1,4 +1,4 @@
-"""How much memory this machine has to give."""
+"""The available memory of this machine."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 
 
 def available_memory() -> int:
-    """Return the bytes that can be had without swapping, as far as the machine tells."""
+    """Return the bytes available without swapping, as far as the machine reports them."""
     with contextlib.suppress(OSError, StopIteration, ValueError):
         with open("/proc/meminfo", encoding="ascii") as lines:
             line = next(line for line in lines if line.startswith("MemAvailable:"))

@@ -1,4 +1,4 @@
-"""Functions that are machine code already: their addresses, from the packages that make them."""
+"""Functions in machine code: their addresses, from the packages that create them."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Pointer:
     ----------
     address : int
     owner : object
-        What has to be kept alive.
+        The object to keep alive.
     user_data : object or None
-        The ctx that came with it, of a SciPy LowLevelCallable.
+        The ctx of a SciPy LowLevelCallable.
     """
 
     address: int
@@ -37,14 +37,14 @@ class Pointer:
 
 
 def find(name: str, value: Any, callback: str | None = None) -> Pointer | None:
-    """Return the C function that an argument ``name`` of `System` is; None if it is none.
+    """Return an argument ``name`` of `System` as C function; None if it is not one.
 
-    ``callback``: which of `ARGUMENTS` it is to be; None: that of its name.
+    ``callback`` is its type, one of `ARGUMENTS`; default: the type of its name.
 
     Raises
     ------
     ValueError
-        If it is a C function with another number of arguments, where that can be seen, or NULL.
+        If the C function is NULL, or has another number of arguments, if that is known.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def find(name: str, value: Any, callback: str | None = None) -> Pointer | None:
 
 
 def _find(value: Any) -> tuple[Pointer, int | None] | None:
-    """Return a C function and its number of arguments, None where that is not known."""
+    """Return a C function and its number of arguments, None if that is unknown."""
     if isinstance(value, ctypes._CFuncPtr):
         address = ctypes.cast(value, ctypes.c_void_p).value or 0
         told = value.argtypes
@@ -115,7 +115,7 @@ def _in_capsule(value: Any, name: bytes | None) -> int:
 def numba_wanted() -> Any:
     """Return ``wanted(output)`` for numba functions: whether a pointer is not NULL.
 
-    Numba has no such test of its own, and a callback has to leave out what is not wanted.
+    Numba has no such test, and a callback must not write to an output that is NULL.
 
     Raises
     ------
@@ -142,10 +142,10 @@ def numba_wanted() -> Any:
 
 
 def context(given: Any, pointers: Mapping[str, Pointer]) -> tuple[Any, Any]:
-    """Return the ctx of the callbacks, and what has to be kept alive.
+    """Return the ctx of the callbacks, and the object to keep alive.
 
-    ``given`` is an array, an address, a pointer of ctypes or cffi, or None: then that of the
-    LowLevelCallables, which have to agree.
+    ``given`` is an array, an address, or a pointer of ctypes or cffi.  For None it is the ctx of
+    the LowLevelCallables, which have to agree.
     """
     if given is None:
         told = {int(_address(p.user_data)) for p in pointers.values() if p.user_data is not None}

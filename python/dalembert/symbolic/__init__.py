@@ -1,4 +1,4 @@
-"""From formulas to functions in C or Python; SymPy is imported when something here is used."""
+"""Conversion of formulas to functions in C or Python; SymPy is imported on first use."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ series = Later(__name__, "series")
 
 
 def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
-    """Return coordinates, SymPy symbols with a velocity ``.d`` each.
+    """Return coordinates: SymPy symbols, each with its velocity ``.d``.
 
     Parameters
     ----------
@@ -29,15 +29,15 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     Returns
     -------
     tuple of symbols
-        Calls with the same names make equal symbols.  Those of one name and different calls are
-        different to SymPy, but the same coordinate of a system.
+        Calls with the same names return equal symbols.  Symbols with the same name from different
+        calls are different in SymPy, but denote the same coordinate of a system.
 
     Raises
     ------
     ImportError
         If SymPy is not installed.
     ValueError
-        If there are no names, or one is there twice.
+        If there are no names, or one occurs twice.
 
     Examples
     --------

@@ -1,9 +1,8 @@
-"""C from a model: its callbacks, its step routine, and the definition of its system.
+"""Generation of C from a model: callbacks, step routine, and definition of the system.
 
-The program has no name or text of the user in it, except in string constants that are escaped byte
-by byte, and, for C programs, the names of parameters that are free in C and C++.  Each callback
-computes what its outputs have in common once, and what a single output needs only if that output is
-wanted.
+The program contains texts of the user only in string constants that are escaped byte by byte.  C
+programs also contain names of parameters that are not reserved in C and C++. Each callback computes
+common subexpressions of its outputs once, and those of a single output only if it is requested.
 """
 
 from __future__ import annotations
@@ -74,23 +73,23 @@ class Program:
     Attributes
     ----------
     lines : list of (str, callable or None)
-        A line, and a function of two values: what it computes, and from which expression; None if
-        it comes from none.
+        A line, and a function that returns a description of its result and its expression; None if
+        it has no expression.
     """
 
     lines: list[tuple[str, Callable[[], tuple[str, Any]] | None]] = field(default_factory=list)
 
     @property
     def source(self) -> str:
-        """The text."""
+        """The source code."""
         return "".join(f"{line}\n" for line, _ in self.lines)
 
     def add(self, text: str) -> None:
-        """Add lines that come from no expression."""
+        """Add lines without an expression."""
         self.lines.extend((line, None) for line in text.split("\n"))
 
     def origin(self, number: int, shown: Callable[[Any], Any]) -> str:
-        """Return what a line, counted from 1, computes, if anything, in names that are shown."""
+        """Return the result that a line, counted from 1, computes, in terms of ``shown``."""
         _, origin = self.lines[number - 1]
         if origin is None:
             return ""
@@ -99,9 +98,9 @@ class Program:
 
 
 def is_compact(model: Model) -> bool:
-    """Return whether steps of a model gain from the sparsity of its constraints.
+    """Return whether steps of a model benefit from the sparsity of its constraints.
 
-    They are the library's, so that the program needs no step routine of its own.
+    The library then supplies the steps, and the program has no step routine.
     """
     derived, n = model.derived, model.n
     if n <= MOST or model.m == 0 or derived.mass is None or derived.kind != "linear":
@@ -120,13 +119,14 @@ def program(
     ----------
     model : Model
     name : str, optional
-        Then the program ends in a constructor ``name_system`` for C, with the names, the help and
-        the values of parameters that ``system`` has; without it in what the package loads.
+        If given, the program ends with a constructor ``name_system`` for C, with the names, the
+        help and the values of parameters of ``system``.  Otherwise it ends with the data that the
+        package loads.
     compact : bool, optional
-        Whether the system declares the sparsity of its constraints, and leaves the steps to the
-        library; None: if it `is_compact`.
+        Whether the system declares the sparsity of its constraints, so that the library supplies
+        the steps.  Default: `is_compact`.
     lanes : bool, optional
-        Whether the program also has the step routine of several members at once, see `has_lanes`.
+        Whether the program also has a step routine for several members at once, see `has_lanes`.
     """
     made, body = Program(), Program()
     derived = model.derived
@@ -210,7 +210,7 @@ def _power(made: Program, exponent: int, vector: bool = False) -> None:
 def _function(
     made: Program, model: Model, function: Function, fast: bool, print_c: Printer
 ) -> None:
-    """Write a callback: what is common to its outputs, then each output that is wanted."""
+    """Write a callback: common subexpressions, then each requested output."""
     give, values = function.engine.give, _written(function)
     temporaries, reduced = function.engine.cse([e for x in values.values() for e in x.values()])
     temporaries = [(give(s), give(e)) for s, e in temporaries]
@@ -246,7 +246,7 @@ def _function(
 
 
 def _alone(model: Model, function: Function) -> Function:
-    """Return the mass with its diagonal, or the constraints with the entries of the sparsity."""
+    """Return a function with only the diagonal of M, or only the entries of the sparsity."""
     n = model.n
     kept = [i * n + j for i, j in zip(*model.sparsity)]
     of_matrices = {"M": range(0, n * n, n + 1), "phi_v": kept, "phi_q": kept}
@@ -258,7 +258,7 @@ def _alone(model: Model, function: Function) -> Function:
 
 
 def _written(function: Function) -> dict[str, dict[int, Any]]:
-    """Return the entries of each output that are written one by one: not many zeros."""
+    """Return the entries of each output that are written one by one, without most zeros."""
     found = {}
     for output, expressions in function.outputs.items():
         there = {k: e for k, e in enumerate(expressions) if e != 0}
@@ -275,7 +275,7 @@ def _outputs(
     values: dict[str, dict[int, Any]],
     print_c: Printer,
 ) -> None:
-    """Write what computes the outputs; what several need stands before them."""
+    """Write the computation of the outputs; shared subexpressions come first."""
     users = _users(temporaries, values)
 
     def compute(left: str, expression: Any, what: str) -> None:
@@ -307,7 +307,7 @@ def _outputs(
 
 
 def _are_few(expressions: Sequence[Any]) -> bool:
-    """Return whether there are few enough operations to be inlined."""
+    """Return whether expressions have few enough operations for inlining."""
     left = _INLINED
     return all((left := left - sympy.count_ops(e)) >= 0 for e in expressions)
 
@@ -320,7 +320,7 @@ def _names(signature: str) -> list[str]:
 def _users(
     temporaries: Sequence[tuple[Any, Any]], values: dict[str, dict[int, Any]]
 ) -> dict[Any, set[str]]:
-    """Return for each temporary the outputs that need it."""
+    """Return for each temporary the outputs that depend on it."""
     users: dict[Any, set[str]] = {symbol: set() for symbol, _ in temporaries}
     for output, entries in values.items():
         for expression in entries.values():
@@ -333,7 +333,7 @@ def _users(
 
 
 def _origin(what: str, expression: Any, temporaries: Sequence[tuple[Any, Any]]) -> tuple[str, Any]:
-    """Return what is computed, and its expression without temporaries."""
+    """Return the description of a result, and its expression without temporaries."""
     known: dict[Any, Any] = {}
     for symbol, part in temporaries:
         known[symbol] = part.xreplace(known)
@@ -409,7 +409,7 @@ def _field(made: Program, model: Model) -> None:
 
 
 def _compiled(made: Program, model: Model, lanes: bool) -> None:
-    """Write what compiled of the definition points to."""
+    """Write the object for the member ``compiled`` of the definition."""
     made.add(
         "static const dal_compiled model_compiled = {\n"
         "    DAL_COMPILED_ABI, sizeof(dal_kernel), model_steps, "
@@ -493,7 +493,7 @@ _EARLY = ("sin", "cos", "exp", "log", "pow")
 
 
 def has_lanes(model: Model) -> bool:
-    """Return whether several members can be stepped at once: by steps without momenta or inputs."""
+    """Return whether several members can be stepped at once: without momenta and inputs."""
     return model.n <= MOST and not model.derived.has_momenta and not model.inputs
 
 
@@ -532,14 +532,14 @@ def _lanes(made: Program, model: Model) -> None:
 
 
 def _pull(model: Model) -> str | None:
-    """Return the function that gives the V_q of the steps without momenta, if there is one."""
+    """Return the function with V_q for steps without momenta, if there is one."""
     if model.derived.is_positional:
         return "pull"
     return "potential" if model.derived.function("potential") is not None else None
 
 
 def _vector_callbacks(made: Program, model: Model) -> None:
-    """Write what the steps call, for vectors, after what that calls."""
+    """Write the callbacks of the steps, and their functions, for vectors."""
     powers: set[int] = set()
     body, print_c = Program(), VectorPrinter(powers)
     for function in model.derived.functions:
@@ -562,7 +562,7 @@ def _vector_callbacks(made: Program, model: Model) -> None:
 
 
 def _sparsity(made: Program, model: Model) -> None:
-    """Write the rows and columns of what the Jacobians of the constraints have."""
+    """Write the rows and columns of the entries of the Jacobians of the constraints."""
     for what, places in zip(("row", "column"), model.sparsity):
         made.add(f"static const size_t model_{what}[] = {{{', '.join(map(str, places))}}};")
     count = len(model.sparsity[0])
@@ -581,7 +581,7 @@ _ASSUMED = {
 
 
 def _parameters(made: Program, model: Model) -> None:
-    """Write what mass and initial data are with other parameters."""
+    """Write the functions for mass and initial data with other parameters."""
     made.add(
         "static int model_parameters(double *mass, double *state, const void *ctx)\n{\n"
         "    const double *const p = ctx;\n    (void)mass, (void)state, (void)p;"
@@ -631,7 +631,7 @@ def _for_the_package(made: Program, model: Model, definition: list[str]) -> None
 
 
 def c_string(text: str) -> str:
-    """Return a text as a C string constant; whatever is not a plain letter is escaped."""
+    """Return a text as a C string constant; all but plain letters are escaped."""
     plain = set(b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 _,.;:()=+-*^'")
     return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'
 
@@ -658,7 +658,7 @@ _LONGEST = 4095  # of a string constant, in C compilers that keep to the standar
 def parameter_names(given: Iterable[str]) -> list[str]:
     """Return a name in C and C++ for each parameter.
 
-    It is its own, with _ if it is taken there, and p0, p1, ... for what is no identifier.
+    A reserved name gets a "_"; names that are not identifiers become p0, p1, ...
     """
     found: list[str] = []
     for k, key in enumerate(given):
@@ -677,7 +677,7 @@ def _head(name: str, system: Any) -> str:
 
 
 def _comment(system: Any) -> str:
-    """Return what stands before the constructor."""
+    """Return the comment of the constructor."""
     values = zip(parameter_names(system.parameters), system.parameters.items())
     lines = [f"{p} is {_plain(key)}, {x!r} where this was generated." for p, (key, x) in values]
     lines.append("*system <- the system; as dal_system_new, which returns the status.")
@@ -685,7 +685,7 @@ def _comment(system: Any) -> str:
 
 
 def header(name: str, system: Any) -> str:
-    """Return the header of a program that ends in the constructor ``name_system``."""
+    """Return the header of a program with the constructor ``name_system``."""
     guard = f"{name.upper()}_SYSTEM_H"
     return (
         f"/* Generated by dalembert, for C and C++. */\n#ifndef {guard}\n#define {guard}\n\n"
@@ -698,7 +698,7 @@ def header(name: str, system: Any) -> str:
 def _constructor(
     made: Program, model: Model, definition: list[str], name: str, system: Any, compact: bool
 ) -> None:
-    """Write the function with which a C program makes the system."""
+    """Write the function that creates the system in a C program."""
     n, head = model.n, _head(name, system)
     made.add(f"{_comment(system)}\n{head};\n\n{head}\n{{")
 
@@ -739,7 +739,7 @@ def _constructor(
 
 
 def _plain(text: str) -> str:
-    """Return a text with nothing but letters and digits, and _ for the rest."""
+    """Return a text with letters and digits, and _ for all other characters."""
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in text)
 
 
@@ -753,14 +753,14 @@ _INVERSE = {sympy.sec: "cos", sympy.csc: "sin", sympy.cot: "tan"}
 
 
 class Printer:
-    """Expressions as C, over a closed list of what there may be.
+    """Expressions as C, from a closed list of functions.
 
     Attributes
     ----------
     powers : set of int
-        What `_power` has to be written for.
+        Exponents for which `_power` is needed.
     real, nowhere : str
-        The type of a number, and the number that is none.
+        The type of a number, and the NaN of this type.
     """
 
     real, nowhere = "double", "NAN"
@@ -769,11 +769,11 @@ class Printer:
         self.powers = powers
 
     def name(self, name: str) -> str:
-        """Return the name of a function that is generated."""
+        """Return the name of a generated function."""
         return name
 
     def whole(self, e: Any) -> str:
-        """Return an expression that stands alone, or as an argument."""
+        """Return an expression that is complete, or an argument."""
         return self(e)
 
     def call(self, name: str, *arguments: str) -> str:
@@ -872,12 +872,12 @@ class Printer:
 
 
 class VectorPrinter(Printer):
-    """The same for vectors; what has no symbol in it is a number, which their operators take too.
+    """Expressions as C for vectors; expressions without symbols remain numbers.
 
     Attributes
     ----------
     called : set of str
-        The functions of the math library that occur.
+        The functions of the math library that are used.
     """
 
     real, nowhere = "dal_vec", "DAL_LANES(all_of)(NAN)"
@@ -908,7 +908,7 @@ class VectorPrinter(Printer):
 
 
 def c_identifier(name: str | None, default: str) -> str:
-    """Return a name for C; ValueError if the one given is none."""
+    """Return a name for C; raise ValueError if the given one is not an identifier."""
     if name is None:
         plain = _plain(default)
         return plain if plain[:1].isalpha() else f"model_{plain}"

@@ -1,4 +1,4 @@
-"""Models with numbers: compiled, or as Python functions where there is no compiler."""
+"""Models with numbers: compiled, or as Python functions without a compiler."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _WITHOUT_COMPILER = (
 
 @functools.cache
 def _generator() -> str:
-    """Return a digest of all that turns a model into C."""
+    """Return a digest of all code that turns a model into C."""
     here = importlib.resources.files(__package__)
     names = ("formula.py", "model.py", "zeros.py", "pattern.py", "codegen.py")
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
@@ -38,8 +38,8 @@ def _generator() -> str:
 def library(model: Model, lanes: bool = False) -> Library | None:
     """Return the compiled model; None if there is no compiler.
 
-    With ``lanes`` it is another one, whose steps can also be made for several members at once, if
-    the model has such steps.
+    With ``lanes`` it is another library, whose steps can advance several members at once, if the
+    model has such steps.
     """
     lanes = lanes and codegen.has_lanes(model)
 
@@ -59,11 +59,11 @@ class Evaluation:
         self.parameters = np.array(list(values.values()), dtype=float)
 
     def bound(self, function: Function) -> Function:
-        """Return a function of the user with the values of the parameters as keywords."""
+        """Return a function of the user with the values of the parameters as keyword arguments."""
         return functools.partial(function, **self.values)
 
     def matrix(self, library: Library | None, name: str, shape: tuple[int, ...]) -> Array | None:
-        """Return what depends on the parameters alone, mass or state; None if there is none."""
+        """Return the mass or the initial state, which depend on parameters only, or None."""
         found = np.full(shape, np.nan)
         if library is not None:
             if not library.has(name):
@@ -81,7 +81,7 @@ class Evaluation:
         return found
 
     def in_python(self) -> dict[str, Any]:
-        """Return the arguments of System that make it from Python functions."""
+        """Return the arguments of System that define it by Python functions."""
         model, p = self.model, self.parameters
         n, m, kind = model.n, model.m, model.derived.kind
         names = functions.outputs("nonlinear" if kind == "nonlinear" else "linear")
@@ -129,7 +129,7 @@ class Evaluation:
         return found
 
     def warn(self, name: str) -> None:
-        """Say what it costs that there is no compiler."""
+        """Warn of the cost of a missing compiler."""
         where = f"CC = {os.environ['CC']}" if os.environ.get("CC") else "cc, gcc, clang"
         text = _WITHOUT_COMPILER.format(where=where, name=name)
         warnings.warn(text, DalembertWarning, stacklevel=2 + _depth())
@@ -138,9 +138,9 @@ class Evaluation:
 def _callable(
     function: Function, name: str, shape: tuple[int, ...], n: int, p: Array, last: int
 ) -> Function:
-    """Return a function with its parameters put in, which takes what System asks of the name.
+    """Return a function with its parameters bound, and the arguments that System expects.
 
-    ``last``: how many arguments stand behind v, which are the inputs.
+    ``last`` is the number of arguments after v, which are the inputs.
     """
     zero = (np.zeros(n),) if functions.FUNCTIONS[name] == "q" else ()
 
@@ -154,7 +154,7 @@ def _callable(
 
 
 def _depth() -> int:
-    """Return how many calls of this package lie between its caller and the user."""
+    """Return the number of calls of this package between its caller and the user."""
     frame, depth = sys._getframe(1), 0
     while frame.f_back is not None and (
         str(frame.f_globals.get("__package__")).partition(".")[0] == _PACKAGE

@@ -1,4 +1,4 @@
-"""Expressions of the state that are no part of a system: compiled, or as functions of Python."""
+"""Expressions of the state outside the system: compiled, or as Python functions."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ def function(
 ) -> tuple[Any, Any, Function | None]:
     """Return expressions of (t, q, v) and the parameters of a system as one C function.
 
-    Each has a name for messages.  Symbols stand for what the system calls by their name;
-    dynamicsymbols and their derivatives too.
+    Each has a name for messages.  Symbols denote coordinates, velocities and parameters by name;
+    dynamicsymbols and their derivatives do too.
 
     Returns
     -------
     address : cdata
-        Of a C function as ``dal_invariant_fn``; NULL where there is no compiler.
+        Address of a C function of type ``dal_invariant_fn``; NULL without a compiler.
     kept : object
-        What its context is, and what has to be kept alive.
+        The context of the function; has to be kept alive.
     python : callable or None
-        Returns a list of the values at (t, q, v), where there is no compiler.
+        Without a compiler: a function that returns the values at (t, q, v) as a list.
 
     Raises
     ------
     ValueError
-        If a symbol is left over, or something is not among what can be compiled.
+        If a symbol is unknown, or an expression cannot be compiled.
 
     Examples
     --------
@@ -67,7 +67,7 @@ def after(system: Handle, reset: Mapping[Any, Expr], where: str) -> list[tuple[s
     Raises
     ------
     ValueError
-        If a key is neither.
+        If a key is not a coordinate or velocity.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def inputs(system: Handle, given: Mapping[Any, Any]) -> list[tuple[str, Expr]]:
     Raises
     ------
     ValueError
-        If a key is no input, one is missing, or a value is neither an expression nor a number.
+        If a key is not an input, an input is missing, or a value is not an expression or a number.
     """
     names = {_name(key): key for key in given}
     for name, key in names.items():
@@ -122,7 +122,7 @@ def _name(key: Any) -> str:
 
 
 def _expression(value: Any, where: str) -> Expr:
-    """Return an expression of SymPy, also of a number."""
+    """Return a SymPy expression, also for a number."""
     if hasattr(value, "free_symbols"):
         return value
     number = arguments.number(value, where)
@@ -130,7 +130,7 @@ def _expression(value: Any, where: str) -> Expr:
 
 
 def _own(expression: Expr, known: Mapping[str, Expr]) -> Expr:
-    """Return an expression with the symbols of ours for those that are called as they are."""
+    """Return an expression with the known symbols in place of those with the same names."""
     rule = {}
     for f in expression.atoms(AppliedUndef):
         if len(f.args) == 1 and str(f.func) in known:

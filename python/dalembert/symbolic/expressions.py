@@ -1,4 +1,4 @@
-"""The formulas of a system as SymPy expressions: a model of a system that was not made from one."""
+"""The formulas of a system as SymPy expressions, for systems not made from expressions."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ Expr = Any
 
 
 def model(system: Handle) -> Model:
-    """Return the model that the formulas of a system describe.
+    """Return the model described by the formulas of a system.
 
-    An index i in them runs over what the coordinates say: over 0, 1, 2 if there are theta0, theta1
-    and theta2; what is defined by ``u_(i-1)`` begins with its second value.
+    The coordinates define the range of an index i: 0, 1, 2 if there are theta0, theta1 and theta2.
+    A definition with ``u_(i-1)`` begins with the second value of i.
 
     Raises
     ------
     ValueError
-        If it has no formulas, or they do not say all.
+        If the system has no formulas, or they are incomplete.
 
     Examples
     --------
@@ -39,7 +39,7 @@ def model(system: Handle) -> Model:
 
 
 class _Formulas:
-    """What the lines of a system say, with symbols by name."""
+    """The content of the lines of a system, with symbols by name."""
 
     def __init__(self, system: Handle) -> None:
         self.system = system
@@ -53,7 +53,7 @@ class _Formulas:
                 self.define(line.removeprefix("where "))
 
     def define(self, line: str) -> None:
-        """Keep what a name stands for, or names with each index."""
+        """Store the definition of a name, or of names with each index."""
         name, right = read(line, exact=True)
         first = any(x.name.endswith("_(i-1)") for x in right.free_symbols)
         for i in self.indices[first:] if name.name.endswith("_i") else [None]:
@@ -83,7 +83,7 @@ class _Formulas:
         return found
 
     def expression(self, found: Expr, i: int | None = None) -> Expr:
-        """Return an expression that is evaluated; i is what an index stands for."""
+        """Return an expression that is evaluated; i is the value of an index."""
         found = self.summed(found)
         return found.xreplace({x: self.indexed(x.name, i) for x in found.free_symbols}).doit()
 
@@ -95,7 +95,7 @@ class _Formulas:
         )
 
     def indexed(self, name: str, i: int | None) -> Expr:
-        """Return a name with i put in: y_i as y1 where there is one, u_(i-1) as u_0."""
+        """Return a name with the value of i: y_i becomes y1 if it exists, u_(i-1) becomes u_0."""
         base, _, index = name.rpartition("_")
         if index in ("i", "(i-1)"):
             if i is None:

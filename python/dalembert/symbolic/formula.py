@@ -1,8 +1,8 @@
-"""Formulas in plain text, as systems carry them: read and written by SymPy, and as MathML.
+"""Formulas of systems in plain text: read and written by SymPy, and as MathML.
 
-``v_theta^2/2`` is a half of the square of the velocity of theta; a blank is a product, a name with
-a bracket at it a function: ``J v_theta^2``, ``m (v_x + v_y)``, ``sqrt(A B)``.  ``sum_i(y_i z_i)``
-is a sum over i.
+``v_theta^2/2`` is half the square of the velocity of theta.  A blank is a product, and a name
+directly before a bracket is a function: ``J v_theta^2``, ``m (v_x + v_y)``, ``sqrt(A B)``.
+``sum_i(y_i z_i)`` is a sum over i.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ _WORD = re.compile(rf"{_NUMBER}|({_NAME})(?=(\()?)", re.ASCII)
 
 
 def read(text: str, exact: bool = False) -> list[Expr]:
-    """Return the sides of an equation, or an expression alone, as SymPy has them.
+    """Return the sides of an equation, or a single expression, as SymPy expressions.
 
-    Nothing is evaluated, and all stands in its order.  Names are symbols and nothing else.
+    Nothing is evaluated or reordered.  All names are symbols.
 
     Parameters
     ----------
     text : str
         See the module.
     exact : bool, optional
-        Whether decimals are rational numbers.
+        Whether to read decimals as rational numbers.
 
     Raises
     ------
     ValueError
-        If it is no formula.
+        If the text is not a formula.
     ImportError
-        If SymPy is not installed; the text has the line to type.
+        If SymPy is not installed.  The message has the command that installs it.
 
     Examples
     --------
@@ -63,7 +63,7 @@ def _side(text: str, exact: bool) -> Expr:
     names: dict[str, Expr] = {}
 
     def word(match: re.Match[str]) -> str:
-        """A number or a function as it is; a name, which may be a word of Python, as another."""
+        """Return a number or function unchanged; replace a name, which may be a Python keyword."""
         name, call = match.groups()
         if not name or (call and name in FUNCTIONS):
             return match[0]
@@ -89,7 +89,7 @@ def _side(text: str, exact: bool) -> Expr:
 
 
 def latex(text: str, coordinates: Collection[str] = ()) -> list[str]:
-    """Return a formula as LaTeX, its terms each with the sign before it.
+    """Return a formula as LaTeX, a list of terms, each with its sign.
 
     Examples
     --------
@@ -124,16 +124,16 @@ def _symbol(name: str, coordinates: Collection[str], sympy: Any) -> str:
 
 
 def mathml(text: str, coordinates: Collection[str] = ()) -> str:
-    """Return a formula as MathML, an element for each term, so that lines break before a sign.
+    """Return a formula as MathML, one element for each term, so that lines break before a sign.
 
-    As code, if it cannot be read, or SymPy or latex2mathml is not installed.
+    If it cannot be read, or SymPy or latex2mathml is not installed, the result is a code element.
 
     Parameters
     ----------
     text : str
         See the module.
     coordinates : collection of str
-        What ``v_x`` may be the velocity of.
+        Names of the coordinates, whose velocities are ``v_...``.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What users write on paper, taken apart into a `model.Model`."""
+"""Conversion of the user's formulas to a `model.Model`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Expr = Any
 
 
 def named(names: str | Sequence[str]) -> tuple[Any, ...]:
-    """Return what `dalembert.coordinates` does."""
+    """Return coordinates, see `dalembert.coordinates`."""
     if isinstance(names, str):
         try:
             words = [s.name for s in sympy.symbols(names, seq=True)] if names.strip() else []
@@ -47,9 +47,9 @@ def take(
     invariants: Mapping[str, Any] | None,
     positions: Any = (),
 ) -> dict[str, Any]:
-    """Return the model, the values of its parameters, and what was given by numbers and functions.
+    """Return the model, the values of its parameters, and arguments that are numbers or functions.
 
-    Of invariants that are expressions the function is None.
+    For invariants that are expressions the function is None.
     """
     state = None if q0 is None and v0 is None else initial_data(q0, v0)
     in_model = isinstance(state, list)
@@ -85,7 +85,7 @@ def make_model(
     inputs: Iterable[Any] = (),
     positions: Any = (),
 ) -> tuple[Model, dict[str, float]]:
-    """Return the model, and the values of its parameters; ValueError if something is left over."""
+    """Return the model and the values of its parameters; ValueError for unknown symbols."""
     L = _expression(L, "L")
     given = _constraints(constraints)
     forces = None if force is None else _force(force)
@@ -167,9 +167,10 @@ def _positions(given: Any, translate: Translation) -> Iterator[Expr]:
 
 
 def _require_derivatives(model: Model, values: list[float]) -> None:
-    """Raise ValueError unless the derivatives of the positions by time are among the constraints.
+    """Raise ValueError unless the time derivatives of the positions are among the constraints.
 
-    That is seen at general states, where phi = mu v + a; what is not linear in v is not judged.
+    The test uses general states and constraints phi = mu v + a; nonlinear constraints are not
+    tested.
     """
     n, m, k, source = model.n, model.m, len(model.positions), np.random.default_rng(1)
     if k == 0:
@@ -201,10 +202,10 @@ def _require_derivatives(model: Model, values: list[float]) -> None:
 
 
 class Translation:
-    """From the user's symbols of coordinates, velocities and parameters to the canonical ones.
+    """Translation of the user's coordinates, velocities and parameters to canonical symbols.
 
-    ``clock`` has those of the time, and ``any_clock`` also the symbol t beside coordinates that are
-    no functions of it: it may be a parameter that was forgotten.
+    ``clock`` has the symbols of the time.  ``any_clock`` also has the symbol t if coordinates are
+    not functions of it, because it may be a forgotten parameter.
     """
 
     def __init__(
@@ -233,9 +234,9 @@ class Translation:
     def __call__(
         self, expression: Expr, where: str, clock: Rule | None = None, with_inputs: bool = False
     ) -> Expr:
-        """Return an expression in canonical symbols; ValueError if something is left over.
+        """Return an expression in canonical symbols; raise ValueError for unknown symbols.
 
-        Without a clock it may not depend on time.
+        Without a clock the expression must not depend on time.
         """
         if with_inputs:
             expression = expression.xreplace(self.inputs)
@@ -281,7 +282,7 @@ class Translation:
         return found
 
     def require_none(self, left: list[str], where: str) -> None:
-        """Raise ValueError for symbols that are left over."""
+        """Raise ValueError for unknown symbols."""
         if twins := [name for name in left if name.removesuffix(".d") in self.names]:
             raise ValueError(
                 f"{where}: this {twins[0]} is another symbol than that of the coordinates; "
@@ -295,7 +296,7 @@ class Translation:
             )
 
     def constraint(self, a: int, given: Any) -> Expr:
-        """Return what vanishes: an expression, or a form of n coefficients times the velocity."""
+        """Return the expression that vanishes; a form of n coefficients is applied to v."""
         where, n = f"constraints[{a}]", len(self.q)
         if not isinstance(given, list):
             return self(given, where, self.clock, True)
@@ -337,7 +338,7 @@ _PLAIN_TIME = sympy.Symbol("t")
 
 
 def _without_time(e: Expr) -> Expr:
-    """Return an expression as it is at t = 0 if it is proved to be so always."""
+    """Return an expression at t = 0 if it is proved to be independent of time."""
     if any(models.TIME in part.free_symbols for part in e.atoms(*PIECES)):
         return e
     still = e.xreplace({models.TIME: sympy.Integer(0)})
@@ -345,12 +346,12 @@ def _without_time(e: Expr) -> Expr:
 
 
 def _kind_and_name(symbol: Expr) -> tuple[type, str]:
-    """Return what the same coordinate, or velocity, has in common in all calls."""
+    """Return the key of a coordinate or velocity that is the same in all calls."""
     return type(symbol), str(symbol)
 
 
 def _refuse_rates(expression: Expr, where: str) -> None:
-    """Raise ValueError for Derivative(x, t) of a coordinate with a velocity x.d: it would be 0."""
+    """Raise ValueError for Derivative(x, t) of a coordinate with velocity x.d, which would be 0."""
     for rate in expression.atoms(sympy.Derivative):
         found = sorted(rate.expr.atoms(Coordinate), key=str)
         if found and not all(isinstance(s, Coordinate) for s in rate.variables):
@@ -358,7 +359,7 @@ def _refuse_rates(expression: Expr, where: str) -> None:
 
 
 def initial_data(q0: Any, v0: Any) -> Any:
-    """Return (q0, v0) as one array of numbers; as a list, if there are expressions in it."""
+    """Return (q0, v0) as one array of numbers, or as a list if there are expressions."""
     if q0 is None or v0 is None:
         raise ValueError("q0 and v0: expected both or none")
     both = [*_several(q0, "q0"), *_several(v0, "v0")]
@@ -368,7 +369,7 @@ def initial_data(q0: Any, v0: Any) -> Any:
 
 
 def is_expressions(value: Any) -> bool:
-    """Return whether something is given by expressions, and not by a function of the user."""
+    """Return whether a value consists of expressions, not of a function of the user."""
     return value is not None and (not callable(value) or hasattr(value, "free_symbols"))
 
 
@@ -415,7 +416,7 @@ def _constraints(given: Any, name: str = "constraints") -> list[Any]:
 
 
 def _several(given: Any, name: str) -> list[Any]:
-    """Return what was given one after another; ValueError if it was not."""
+    """Return the elements of a sequence; raise ValueError for other values."""
     if isinstance(given, str | bytes) or not isinstance(given, Iterable):
         raise ValueError(f"{name} = {given!r}: expected a sequence")
     return list(given)
@@ -440,7 +441,7 @@ def input_symbols(given: Any) -> dict[str, Expr]:
 
 
 def _force(given: Any) -> Rule:
-    """Return the components of a force that are given, by the coordinate."""
+    """Return the given components of a force, by coordinate."""
     found = {}
     for key, value in arguments.mapping(given, "force").items():
         if not isinstance(key, sympy.Expr | str):
@@ -450,9 +451,9 @@ def _force(given: Any) -> Rule:
 
 
 def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Expr]]:
-    """Return name, symbol and velocity of each coordinate, as given or as they occur.
+    """Return name, symbol and velocity of each coordinate, as given or found in the expressions.
 
-    A function of time is a coordinate if it occurs in L; elsewhere it may be an input.
+    A function of time in L is a coordinate; elsewhere it may be an input.
     """
     if given is None:
         made = set().union(*(e.atoms(Coordinate) for e in [L, *others]))
@@ -484,7 +485,7 @@ def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Exp
 
 
 def _is_time(argument: Expr) -> bool:
-    """Return whether a function of this is a coordinate; of a coordinate it is none."""
+    """Return whether a function of this argument is a coordinate, that is, not of a coordinate."""
     return bool(argument.is_Symbol) and not isinstance(argument, Coordinate)
 
 
@@ -515,12 +516,12 @@ _ASSUMED: dict[str, tuple[str, Callable[[float], bool]]] = {
 
 
 def _assumed(symbols: Iterable[Expr]) -> tuple[str, ...]:
-    """Return what is assumed of any of some symbols for the same parameter."""
+    """Return the assumptions of all symbols of the same parameter."""
     return tuple(word for word in _ASSUMED if any(getattr(s, f"is_{word}") for s in symbols))
 
 
 def require_assumed(model: Model, values: Mapping[str, float]) -> None:
-    """Raise ValueError if the value of a parameter is not what its symbol assumes."""
+    """Raise ValueError if the value of a parameter violates an assumption of its symbol."""
     for (name, value), words in zip(values.items(), model.assumptions):
         for word in words:
             expected, holds = _ASSUMED[word]

@@ -1,4 +1,4 @@
-"""Where the formulas of a model jump: terms such as sign(v) near a state."""
+"""Jumps of the formulas of a model: terms such as sign(v) near a state."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def jumps(
     u: Sequence[float],
     near: bool = True,
 ) -> list[str]:
-    """Return the terms that jump, or have a kink, next to the state x at time t, in words.
+    """Return the terms that jump, or have a kink, near the state x at time t, in words.
 
-    Each names the formula that the term belongs to, in the user's names.  All of the model if not
-    ``near``.
+    Each text has the formula of the term, in the user's names.  If ``near`` is false, the result
+    has all such terms of the model.
     """
     symbols = (*model.q, *model.v, *model.p, *model.u, TIME)
     numbers = dict(zip(symbols, map(float, (*x, *values.values(), *u, t))))
@@ -42,7 +42,7 @@ def jumps(
 
 
 def _arguments(e: Expr) -> Iterator[tuple[Expr, Expr]]:
-    """Yield the terms that jump, each with what changes its sign there."""
+    """Yield the terms that jump, each with the expression that changes sign there."""
     for term in e.atoms(sympy.sign, sympy.Heaviside, sympy.Abs):
         yield term, term.args[0]
     for term in e.atoms(sympy.Piecewise):
@@ -54,7 +54,7 @@ def _arguments(e: Expr) -> Iterator[tuple[Expr, Expr]]:
 
 
 def _is_near_zero(argument: Expr, numbers: Mapping[Expr, float]) -> bool:
-    """Return whether an argument is much less than its terms are."""
+    """Return whether an argument is much smaller than its terms."""
     terms = [_number(term, numbers) for term in sympy.Add.make_args(argument)]
     size = max(map(abs, terms)) if len(terms) > 1 else 1.0
     return abs(math.fsum(terms)) <= NEAR * size

@@ -1,8 +1,8 @@
-"""Models of sympy.physics.mechanics, taken apart into the arguments of `System.from_sympy`.
+"""Conversion of models of sympy.physics.mechanics to arguments of `System.from_sympy`.
 
-A Lagrangian needs coordinates: the velocity of a mass centre has to be the derivative of a
-position, and an angular velocity that of an orientation.  Numbers of 60 digits at a random state
-decide that, as the expressions are too long for proofs.
+A Lagrangian needs coordinates.  So the velocity of a mass centre has to be the derivative of a
+position, and an angular velocity has to belong to an orientation.  This is tested with 60 digits at
+a random state, because the expressions are too long for proofs.
 """
 
 from __future__ import annotations
@@ -85,9 +85,9 @@ def from_system(system: Any, inputs: Any = ()) -> dict[str, Any]:
 
 
 def _velocities(system: Any) -> Rule:
-    """Return the generalized speeds by the velocities.
+    """Return the generalized speeds in terms of the velocities.
 
-    Kinematic differential equations are linear in them.
+    The kinematic differential equations are linear in the speeds.
     """
     speeds = [u for u in system.u if not isinstance(u, sympy.Derivative)]
     equations = list(system.kdes)
@@ -119,16 +119,17 @@ _DIGITS, _APART = 60, mpmath.mpf(10) ** -12
 class _Motion:
     """Expressions of a mechanism as numbers, along motions through a random state.
 
-    The state is that at (0, 0) of a surface (t, q)(a, b); along a line of it, v is the derivative.
+    The state is the point (0, 0) of a surface (t, q)(a, b); v is the derivative along a line of it.
 
     Parameters
     ----------
     q : list
         The coordinates.
     rule : dict
-        The generalized speeds by the velocities.
+        The generalized speeds in terms of the velocities.
     orientations : iterable of Matrix, optional
-        Of the bodies.  A quaternion in them gets the length 1, without which they do not rotate.
+        Orientations of the bodies.  Their quaternions are normalised to length 1, without which
+        they are not rotations.
     """
 
     def __init__(self, q: list[Expr], rule: Rule, orientations: Iterable[Expr] = ()) -> None:
@@ -149,7 +150,7 @@ class _Motion:
                 self._quaternions.append((own, function))
 
     def function(self, expressions: Expr) -> Callable[..., Numbers]:
-        """Return a matrix of expressions as a function of (t, q, v), at parameters of any value."""
+        """Return a matrix of expressions as a function of (t, q, v), with arbitrary parameters."""
         n = len(self.q)
         t, *names = sympy.symbols(f"t x:{2 * n}", cls=sympy.Dummy)
         state = dict(zip([self.time, *self.q, *self.rates], [t, *names]))
@@ -174,7 +175,7 @@ class _Motion:
     def _at(
         self, function: Callable[..., Numbers], a: Any = 0, b: Any = 0, line: int = 0
     ) -> Numbers:
-        """Return a function of (t, q, v) on the surface, v along its first or second line."""
+        """Return a function of (t, q, v) on the surface, with v along its first or second line."""
         v = _slope(lambda s: self._state(*((a, b + s) if line else (a + s, b)))[1])
         return function(*self._state(a, b), v)
 
@@ -186,7 +187,7 @@ class _Motion:
             return _agree(found, self._at(rate), self._at(place))
 
     def is_angular(self, orientation: Expr, velocity: Expr) -> bool:
-        """Return whether an angular velocity is that of an orientation, both in a fixed frame."""
+        """Return whether an angular velocity belongs to an orientation, both in a fixed frame."""
         turn, rate = self.function(orientation), self.function(velocity)
         with mpmath.workdps(_DIGITS):
             R = self._at(turn)
@@ -194,10 +195,10 @@ class _Motion:
             return _agree(mpmath.matrix([W[2, 1], W[0, 2], W[1, 0]]), self._at(rate), R)
 
     def is_integrable(self, velocity: Expr, turns: bool = False) -> bool:
-        """Return whether there is a position of this velocity, or an orientation.
+        """Return whether a velocity is that of a position, or of an orientation.
 
-        That is so if d_a f(b) - d_b f(a) is 0 for the velocity f of a position, and f(b) x f(a) for
-        the angular velocity f of an orientation, in the frame that turns.
+        The condition on f is that d_a f(b) - d_b f(a) is 0 for a position.  For an orientation it
+        is f(b) x f(a), in the rotating frame.
         """
         rate = self.function(velocity)
         with mpmath.workdps(_DIGITS):
@@ -208,7 +209,7 @@ class _Motion:
 
 
 def _number(e: Any) -> Any:
-    """Return a number of a quarter to one for a symbol, the same one always."""
+    """Return a number between a quarter and one for a symbol, always the same."""
     found = mpmath.mpf(random.Random(str(e)).uniform(0.25, 1))
     if getattr(e, "is_integer", False):
         found = mpmath.mpf(3)
@@ -216,7 +217,7 @@ def _number(e: Any) -> Any:
 
 
 def _length(orientation: Callable[..., Numbers], t: Any, q: Numbers) -> Any:
-    """Return the length of the axes of a body: 1, or the square of that of a quaternion."""
+    """Return the length of the axes of a body: 1, or the squared norm of a quaternion."""
     return mpmath.norm(orientation(t, q, q)) / mpmath.sqrt(3)
 
 
@@ -230,7 +231,7 @@ def _cross(a: Numbers, b: Numbers) -> Numbers:
 
 
 def _agree(a: Numbers, b: Numbers, size: Numbers) -> bool:
-    """Return whether numbers agree, but for doubles in the expressions."""
+    """Return whether numbers agree, up to the rounding of doubles in the expressions."""
     return bool(
         mpmath.norm(a - b) <= 1e-9 * (mpmath.norm(a) + mpmath.norm(b)) + 1e-12 * mpmath.norm(size)
     )
@@ -240,7 +241,7 @@ def _agree(a: Numbers, b: Numbers, size: Numbers) -> bool:
 
 
 def _orientation(body: Any, frame: Any) -> Expr | None:
-    """Return the matrix whose columns are the axes of a body; None if it has none that is known."""
+    """Return the matrix whose columns are the axes of a body; None if it is unknown."""
     from sympy.physics.mechanics import RigidBody
 
     try:
@@ -250,7 +251,7 @@ def _orientation(body: Any, frame: Any) -> Expr | None:
 
 
 def _require_coordinates(body: Any, frame: Any, fixed: Any, motion: _Motion) -> None:
-    """Raise ValueError if a body has velocities that are no derivatives."""
+    """Raise ValueError if velocities of a body are not derivatives."""
     from sympy.physics.mechanics import RigidBody
 
     centre, R = body.masscenter, _orientation(body, frame)
@@ -277,7 +278,7 @@ def _require_coordinates(body: Any, frame: Any, fixed: Any, motion: _Motion) -> 
 
 
 def _components(vector: Any, frame: Any, what: str) -> Expr:
-    """Return a vector as a matrix; ValueError if the orientation of its frames is not known."""
+    """Return a vector as a matrix; ValueError if the orientation of its frames is unknown."""
     try:
         return vector.to_matrix(frame)
     except ValueError as error:
@@ -304,8 +305,9 @@ def _forces(
 ) -> tuple[Expr, Rule | None]:
     """Return the potential and the generalized force of loads; None if there is no force.
 
-    A load that is constant in the inertial frame has a potential: a force F on a point at r has
-    -F r, and a constant component f of the generalized force, as that of a torque, -f q.
+    A load that is constant in the inertial frame has a potential: -F r for a force F on a point at
+    r.  A constant component f of the generalized force, for example of a torque, has the potential
+    -f q.
     """
     from sympy.physics.mechanics import Point
 
@@ -336,7 +338,7 @@ def _forces(
 
 
 def _work(point: Any, force: Any, frame: Any, motion: _Motion) -> Expr | None:
-    """Return F r of a constant force F on a point at r; None where its power is not d/dt (F r)."""
+    """Return F r of a constant force F on a point at r; None if its power is not d/dt (F r)."""
     power = sympy.Matrix([point.vel(frame).dot(force)])
     for fixed in _at_rest(point, frame):
         work = sympy.Matrix([point.pos_from(fixed).dot(force)])
@@ -346,7 +348,7 @@ def _work(point: Any, force: Any, frame: Any, motion: _Motion) -> Expr | None:
 
 
 def _at_rest(point: Any, frame: Any) -> list[Any]:
-    """Return the points without a velocity from which a point has a position."""
+    """Return the points without a velocity that define the position of a point."""
     found = [point]
     for one in found:
         found += [other for other in one._pos_dict if other not in found]

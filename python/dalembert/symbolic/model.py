@@ -1,9 +1,8 @@
-"""Models: a Lagrangian and constraints as SymPy expressions, and what follows from them.
+"""Models: a Lagrangian and constraints as SymPy expressions, and derived functions.
 
-Everything here works on canonical symbols, ``q0 ... v0 ... p0 ... t``, whatever the user calls
-them: the user's names are never part of a generated program, and models that differ in names alone
-are compiled once.  Nothing is simplified and no matrix is inverted; both were seen to run for
-minutes.
+All expressions use canonical symbols, ``q0 ... v0 ... p0 ... t``.  The user's names are never part
+of a generated program, and models that differ in names alone are compiled once.  Nothing is
+simplified and no matrix is inverted, because both can take minutes.
 """
 
 from __future__ import annotations
@@ -39,10 +38,10 @@ Rule = dict[Expr, Expr]
 
 
 class _Called(sympy.Symbol):
-    """A symbol that knows the names of the call of `dalembert.coordinates` that made it.
+    """A symbol with the names of the call of `dalembert.coordinates` that created it.
 
-    They are part of it, so that the order they give a system is that of its own expressions, and
-    no other call can change it.
+    The names are part of the symbol.  So the order of coordinates follows from the expressions of a
+    system, independent of other calls.
     """
 
     __slots__ = ("call",)
@@ -66,7 +65,7 @@ class Velocity(_Called):
 
     @property
     def coordinate(self) -> Coordinate:
-        """What it is the velocity of."""
+        """The coordinate of this velocity."""
         return Coordinate(self.name.removesuffix(".d"), self.call)
 
     def _latex(self, printer: Any) -> str:
@@ -74,7 +73,7 @@ class Velocity(_Called):
 
 
 class Coordinate(_Called):
-    """A coordinate, a SymPy symbol with its velocity `d`; made by `dalembert.coordinates`."""
+    """A coordinate: a SymPy symbol with its velocity `d`, from `dalembert.coordinates`."""
 
     __slots__ = ()
 
@@ -84,7 +83,7 @@ class Coordinate(_Called):
         return Velocity(f"{self.name}.d", self.call)
 
     def diff(self, *symbols: Any, **assumptions: Any) -> Expr:
-        """Return a derivative; ValueError for that by the time, which SymPy takes to be 0."""
+        """Return a derivative; raise ValueError for the time derivative, for SymPy it is 0."""
         if any(str(s) == "t" and not isinstance(s, Coordinate) for s in symbols):
             raise ValueError(f"{self.name}.diff(t): write {self.name}.d for the velocity")
         return super().diff(*symbols, **assumptions)
@@ -103,12 +102,12 @@ def make_coordinates(names: Sequence[str]) -> tuple[Coordinate, ...]:
 
 
 def in_order(found: Iterable[Coordinate]) -> list[Coordinate]:
-    """Return coordinates as their calls name them, and those of several calls as these were made.
+    """Return coordinates in the order of their names in calls, and of the calls.
 
     Raises
     ------
     ValueError
-        If the calls contradict each other, or were made in another order first than last.
+        If the calls contradict each other, or the order of their first and last execution differs.
     """
     by_name = {x.name: x for x in found}
     calls = {x.call for x in found}
@@ -138,7 +137,7 @@ TIME = sympy.Symbol("t", real=True)
 
 
 class Time(sympy.Symbol):
-    """The time as users write it, `dalembert.time`; no other symbol is equal to it."""
+    """The time in user's expressions, `dalembert.time`; no other symbol is equal to it."""
 
     __slots__ = ()
 
@@ -157,9 +156,10 @@ class _Jump(Exception):
 
 
 def _gradient(e: Expr, symbols: Collection[Expr]) -> Rule:
-    """Return the derivatives of an expression by those of the symbols that occur in it.
+    """Return the derivatives of an expression by those symbols that occur in it.
 
-    They are those of ``sympy.diff``, which for each symbol would go through all terms of all sums.
+    The results are those of ``sympy.diff``, which would traverse all terms of all sums for each
+    symbol.
     """
     if not e.is_Add and not e.is_Mul:
         e = e.replace(_is_parametric, lambda power: _Power(*power.args))
@@ -175,7 +175,7 @@ def _gradient(e: Expr, symbols: Collection[Expr]) -> Rule:
 
 
 class _Power(sympy.Function):
-    """x^n with a parameter n, whose derivative SymPy writes as n x^n / x: 0/0 where x is 0."""
+    """x^n with a parameter n; SymPy's derivative n x^n / x is 0/0 at x = 0."""
 
     def fdiff(self, argindex: int = 1) -> Expr:
         x, n = self.args
@@ -183,15 +183,15 @@ class _Power(sympy.Function):
 
 
 def _is_parametric(e: Expr) -> bool:
-    """Return whether an expression is a power whose exponent is constant, but no fraction."""
+    """Return whether an expression is a power whose exponent is constant but not rational."""
     return bool(e.is_Pow and not e.exp.is_Rational and not e.base.is_number and _is_constant(e.exp))
 
 
 def _as_function(found: Expr, symbol: Expr, almost: bool) -> Expr:
     """Return a derivative by a symbol as a function.
 
-    A DiracDelta is left out where its factor vanishes with its argument, as in the derivative of
-    x^2 sign(x); and anywhere if `almost`, for a derivative that may be wrong where something jumps.
+    A DiracDelta is dropped if its factor vanishes with its argument, as in the derivative of x^2
+    sign(x).  If `almost`, it is always dropped, for a derivative that may be wrong at jumps.
     """
     for delta in found.atoms(sympy.DiracDelta):
         mark = sympy.Dummy(real=True)
@@ -203,19 +203,20 @@ def _as_function(found: Expr, symbol: Expr, almost: bool) -> Expr:
 
 
 def _is_inverse(e: Expr) -> bool:
-    """Return whether this may be infinite all along one side of a wall: 1/sqrt(Max(0, x))."""
+    """Return whether a power may be infinite on one side of a wall, as 1/sqrt(Max(0, x))."""
     return e.is_Pow and not e.exp.is_nonnegative and e.base.has(sympy.Max, sympy.Min, sympy.Abs)
 
 
 def _bounded(e: Expr) -> Expr:
-    """Return a power as 1 where its base is 0, for a step beside it to make 0 of it there."""
+    """Return a power that is 1 if its base is 0, so that a step function as factor makes it 0."""
     return sympy.Piecewise((e.base, sympy.Ne(e.base, 0)), (1, True)) ** e.exp
 
 
 def _is_without_jump(factor: Expr, argument: Expr, symbol: Expr) -> bool:
     """Return whether a factor is proved to vanish with the argument of its DiracDelta.
 
-    What jumps is the factor by the slope of the argument: sign(x^3) does, where 3 x^2 vanishes.
+    The jump is the factor divided by the slope of the argument: sign(x^3) jumps although 3 x^2
+    vanishes.
     """
     if _vanishes_with(factor, argument):
         return True
@@ -229,9 +230,9 @@ _Step = sympy.Function("_Step")
 
 
 def _vanishes_with(factor: Expr, argument: Expr) -> bool:
-    """Return whether a factor is proved to be 0 where an argument is.
+    """Return whether a factor is proved to vanish with an argument.
 
-    A step that is made there has any value: that of sign(x)^3 is 0 at 0, and yet it jumps.
+    A step function may have any value at its jump: sign(x)^3 is 0 at 0 and yet jumps.
     """
     factor = factor.replace(sympy.sign, lambda u: 2 * _Step(u) - 1)
     factor = factor.replace(sympy.Heaviside, lambda u, _: _Step(u))
@@ -247,7 +248,7 @@ def _vanishes_with(factor: Expr, argument: Expr) -> bool:
 
 
 def _zero_with(e: Expr) -> list[Expr]:
-    """Return expressions of which one is 0 wherever e is."""
+    """Return expressions such that one of them is 0 wherever e is 0."""
     if e.is_Mul:
         return [part for factor in e.args for part in _zero_with(factor)]
     if e.is_Pow and e.exp.is_positive:
@@ -262,13 +263,13 @@ _ONE_ZERO = of_sympy("Abs sinh tanh asinh asin atan erf")
 
 
 def _is_constant(e: Expr) -> bool:
-    """Return whether there are at most parameters in an expression, which then is not 0."""
+    """Return whether an expression has no symbols except parameters, and so counts as nonzero."""
     return all(s.name[0] == "p" for s in e.free_symbols)
 
 
 @contextlib.contextmanager
 def _naming(model: Model, where: str) -> Iterator[None]:
-    """Say in the user's names where there is a jump."""
+    """Add the user's names to errors about jumps."""
     try:
         yield
     except _Jump as jump:
@@ -290,7 +291,7 @@ _SMOOTH = of_sympy(
 
 
 class _SymPy:
-    """Derivatives, by the symbols that occur, and common subexpressions by SymPy."""
+    """Derivatives, by the symbols that occur, and common subexpressions, with SymPy."""
 
     name = f"sympy {sympy.__version__}"
 
@@ -322,7 +323,7 @@ class _SymPy:
 
 
 class _SymEngine:
-    """The same by SymEngine, 60 to 80 times faster."""
+    """The same with SymEngine, 60 to 80 times faster."""
 
     name = f"symengine {getattr(symengine, '__version__', '')}"
 
@@ -347,12 +348,12 @@ class _SymEngine:
 
 
 def engine_for(expressions: Iterable[Expr]) -> Any:
-    """Return the faster way that is there and knows all that occurs."""
+    """Return the fastest installed engine that supports the expressions."""
     return _SymEngine if symengine is not None and _are_smooth(expressions) else _SymPy
 
 
 def _are_smooth(expressions: Iterable[Expr]) -> bool:
-    """Return whether nothing but smooth functions occurs."""
+    """Return whether all functions in the expressions are smooth."""
     seen: set[Expr] = set()
     left = list(expressions)
     while left:
@@ -366,7 +367,7 @@ def _are_smooth(expressions: Iterable[Expr]) -> bool:
 
 
 def default_engine() -> str:
-    """Return the name and version of what differentiates smooth models."""
+    """Return the name and version of the engine for smooth models."""
     return _SymPy.name if symengine is None else _SymEngine.name
 
 
@@ -374,14 +375,14 @@ def default_engine() -> str:
 
 
 def _of_each(f: Callable[[Expr], Expr], entries: Iterable[Expr]) -> list[Expr]:
-    """Return f of each entry; most entries may be 0, and f of that is found once."""
+    """Return f of each entry; most entries may be 0, and f of 0 is computed once."""
     zero = f(sympy.Integer(0))
     return [zero if e == 0 else f(e) for e in entries]
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function of the generated program: its outputs, in order, each with its expressions."""
+    """A function of the generated program: its outputs, in order, with their expressions."""
 
     name: str
     outputs: dict[str, Sequence[Expr]]
@@ -390,18 +391,18 @@ class Function:
 
 @dataclass(frozen=True)
 class Derived:
-    """What a model turns out to be, and the functions that are generated from it.
+    """The type of a model, and the functions generated from it.
 
     Attributes
     ----------
     kind : {"linear", "affine", "nonlinear"}
-        Of the constraints in v.
+        How the constraints depend on v.
     mass : tuple of expressions or None
-        M, row by row, where it is constant and L = v^T M v / 2 - V(q); in the parameters alone.
+        M, row by row, if it is constant and L = v^T M v / 2 - V(q); depends on parameters only.
     functions : tuple of Function
-        potential, lagrangian, constraint, force, mass, ... as far as they are there.
+        potential, lagrangian, constraint, force, mass, ..., if present.
     is_positional : bool
-        Whether there is a force that has no velocity in it.
+        Whether there is a force, and it does not depend on v.
     """
 
     kind: str
@@ -411,7 +412,9 @@ class Derived:
 
     @property
     def has_momenta(self) -> bool:
-        """Whether steps need L_v: of M(q), a force of v, or constraints that are not linear."""
+        """Whether steps need L_v: for M(q), a force that depends on v, or other than linear
+        constraints.
+        """
         dragged = self.function("force") is not None and not self.is_positional
         return self.mass is None or self.kind != "linear" or dragged
 
@@ -420,19 +423,19 @@ class Derived:
         return next((f for f in self.functions if f.name == name), None)
 
     def entries(self, name: str, output: str) -> Sequence[Expr]:
-        """Return an output of a function as its engine has it; nothing if there is no such one."""
+        """Return an output of a function as its engine's expressions; empty if absent."""
         function = self.function(name)
         return [] if function is None else function.outputs[output]
 
     def expressions(self, name: str, output: str) -> list[Expr]:
-        """Return an output of a function as SymPy has it; nothing if the model has no such one."""
+        """Return an output of a function as SymPy expressions; empty if absent."""
         function = self.function(name)
         return [] if function is None else _of_each(function.engine.give, function.outputs[output])
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A Lagrangian and constraints in canonical symbols, and the names the user has for them.
+    """A Lagrangian and constraints in canonical symbols, and the user's names.
 
     Attributes
     ----------
@@ -441,7 +444,7 @@ class Model:
     L : sympy.Expr
         The Lagrangian.
     constraints : tuple of sympy.Expr
-        What has to vanish; may contain the inputs, which are constant over a step.
+        Expressions that vanish; may contain the inputs, which are constant over a step.
     force : tuple of sympy.Expr or None
         The n components of the generalized force; may contain the inputs.  All may contain t.
     state : tuple of sympy.Expr or None
@@ -451,11 +454,11 @@ class Model:
     invariants : tuple of sympy.Expr
         First integrals besides the energy.
     assumptions : tuple of tuple of str
-        For each parameter what has to hold of its values: "positive", ...
+        The assumptions on the values of each parameter: "positive", ...
     inputs : tuple of str
         Names; u0 is the first input of the force and the constraints.
     positions : tuple of sympy.Expr
-        Constraints on q, and the time, whose derivatives by the time are among the constraints.
+        Constraints on q and the time, whose time derivatives are among the constraints.
     """
 
     coordinates: tuple[str, ...]
@@ -500,7 +503,7 @@ class Model:
 
     @property
     def is_time_dependent(self) -> bool:
-        """Whether something besides the force depends on time."""
+        """Whether L or the constraints depend on time."""
         return any(TIME in e.free_symbols for e in (self.L, *self.constraints))
 
     @property
@@ -510,7 +513,7 @@ class Model:
 
     @functools.cached_property
     def key(self) -> str:
-        """A digest of everything but the names."""
+        """A digest of the model without its names."""
         parts = [
             (self.L,), self.constraints, self.force, self.state, self.exact, self.invariants
         ]  # fmt: skip
@@ -520,23 +523,23 @@ class Model:
 
     @functools.cached_property
     def derived(self) -> Derived:
-        """Kind, mass and derivatives; the expensive part."""
+        """Type, mass and derivatives; expensive."""
         return _derive(self)
 
     @functools.cached_property
     def terms(self) -> Function:
-        """What the ODE on D is made of, as field.h has it; M only where it is not constant."""
+        """The terms of the ODE on D, as in field.h; M only if it is not constant."""
         return _terms(self, self.derived)
 
     @functools.cached_property
     def sparsity(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Rows and columns, row by row, of the entries where phi_v or phi_q or both are not 0."""
+        """Rows and columns, row by row, of the entries that are nonzero in phi_v or phi_q."""
         jacobians = (self.derived.entries("constraint", x) for x in ("phi_v", "phi_q"))
         there = [k for k, both in enumerate(zip(*jacobians)) if any(e != 0 for e in both)]
         return tuple(k // self.n for k in there), tuple(k % self.n for k in there)
 
     def shown(self, expression: Expr) -> Expr:
-        """Return an expression with the user's names, for people to read."""
+        """Return an expression with the user's names."""
         return expression.xreplace(self._names)
 
     @functools.cached_property
@@ -552,8 +555,8 @@ class Model:
     def callables(self, name: str) -> dict[str, Callable[..., Any]]:
         """Return a function of Python for each output of a function.
 
-        It takes (q, v, p); an exact solution and a force, and all functions of a model that depends
-        on time, (t, q, v, p); what depends on inputs takes them before p.
+        Its arguments are (q, v, p).  An exact solution, a force, and all functions of a model that
+        depends on time have the arguments (t, q, v, p).  Inputs precede p.
         """
         function = self.derived.function(name)
         arguments = [self.q, self.v, self.p]
@@ -606,7 +609,7 @@ class Model:
         return tuple(f"{self.formula(e)}, in constraints[{a}]" for a, e in found if e != 0)
 
     def formulas(self) -> tuple[str, ...]:
-        """Return L, the constraints and the force as plain text, a line each."""
+        """Return L, the constraints and the force as plain text, one line each."""
         force = zip(self.coordinates, self.force or ())
         return (
             f"L = {self.formula(self.L)}",
@@ -622,7 +625,7 @@ class Model:
 def _structure(e: Expr) -> str:
     """Return a text that two expressions share only if they are equal.
 
-    As for ``srepr``, which sorts again what SymPy has sorted, and takes ten times as long.
+    ``srepr`` does the same, but sorts again and takes ten times as long.
     """
     if not e.args:
         return str(sympy.srepr(e))
@@ -630,7 +633,7 @@ def _structure(e: Expr) -> str:
 
 
 def _derive(model: Model) -> Derived:
-    """Differentiate, and see what the model is."""
+    """Return the type of a model and its derivatives."""
     q, v = model.q, model.v
     lagrangian, constraints = _exact(model.L), [_exact(e) for e in model.constraints]
     engine = engine_for([lagrangian, *constraints])
@@ -676,7 +679,7 @@ def _derive(model: Model) -> Derived:
 
 
 def _jet(derived: Derived, engine: Any, name: str, *outputs: str) -> list[list[Expr]]:
-    """Return outputs of a function, for another engine; nothing if the model has no such one."""
+    """Return outputs of a function for another engine; empty if the model does not have it."""
     return [_of_each(engine.take, derived.expressions(name, output)) for output in outputs]
 
 
@@ -717,7 +720,7 @@ def _pull(model: Model, derived: Derived) -> Function:
 
 
 def _terms(model: Model, derived: Derived) -> Function:
-    """Return F, mu and g of field.h; M where it is not constant, and C where it is seen to be."""
+    """Return F, mu and g of field.h, M unless it is constant, and C if it is constant."""
     n, m = model.n, model.m
     engine = engine_for([_exact(e) for e in (model.L, *model.constraints, *(model.force or ()))])
     v, none = [*map(engine.take, model.v)], [engine.take(sympy.Integer(0))] * n
@@ -749,7 +752,7 @@ def _terms(model: Model, derived: Derived) -> Function:
 
 
 def _constant_gram(model: Model, derived: Derived) -> list[Expr] | None:
-    """Return C = mu M^-1 mu^T where M is diagonal and C the same everywhere, as on a blade."""
+    """Return C = mu M^-1 mu^T if M is diagonal and C is the same everywhere, as for a blade."""
     n, m, M = model.n, model.m, derived.mass
     if M is None or any(M[i * n + j] != 0 for i in range(n) for j in range(n) if i != j):
         return None
@@ -778,7 +781,7 @@ def _slopes(
 def _energy(
     model: Model, engine: Any, lagrangian: Expr
 ) -> tuple[tuple[Expr, ...] | None, list[Function]]:
-    """Return M and the functions of it and of the potential; or None and the Lagrangian."""
+    """Return M and the functions of mass and potential; or None and that of the Lagrangian."""
     q, v = model.q, model.v
     L = [engine.take(lagrangian)]
     L_v = _slopes(engine, L, v)
@@ -808,10 +811,10 @@ def _energy(
 
 
 def _exact(e: Expr) -> Expr:
-    """Return an expression as it is differentiated.
+    """Return an expression in the form that is differentiated.
 
-    Its doubles are the rational numbers that they are, so that nothing is lost; what has no
-    derivative in SymPy unless its argument is known to be real is written otherwise.
+    Doubles become rational numbers, without rounding.  Functions that SymPy differentiates only for
+    real arguments are replaced by equivalent ones.
     """
     e = e.xreplace({x: sympy.Rational(x) for x in e.atoms(sympy.Float)})
     unsure = {x for x in e.atoms(sympy.Abs, sympy.sign) if not x.args[0].is_extended_real}
@@ -825,7 +828,7 @@ def _exact(e: Expr) -> Expr:
 
 
 def in_doubles(e: Expr, digits: int = 15) -> Expr:
-    """Return an expression with doubles of so many digits for numbers that are not short."""
+    """Return an expression whose long numbers are replaced by doubles of so many digits."""
     return e.xreplace({
         x: sympy.Float(nearest(x), digits) for x in e.atoms(sympy.Rational, sympy.Float)
         if x.is_Float or max(abs(x.p), x.q) >= 2**53
@@ -833,7 +836,7 @@ def in_doubles(e: Expr, digits: int = 15) -> Expr:
 
 
 def nearest(x: Expr, where: str = "") -> float:
-    """Return the double nearest to a number, however long; ValueError if it is out of range."""
+    """Return the double nearest to a number; raise ValueError if it is out of range."""
     try:
         found = x.p / x.q if x.is_Rational else float(x)
     except OverflowError:
@@ -845,7 +848,7 @@ def nearest(x: Expr, where: str = "") -> float:
 
 
 def with_default(e: Expr) -> Expr:
-    """Return an expression as `lambdify` takes it: a Piecewise without a default is NaN there."""
+    """Return an expression for `lambdify`: a Piecewise without a default becomes NaN there."""
     return e.replace(
         lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != sympy.true,
         lambda part: part.func(*part.args, (sympy.nan, True)),
@@ -855,7 +858,7 @@ def with_default(e: Expr) -> Expr:
 def _symmetric(
     engine: Any, gradient: Sequence[Expr], x: Sequence[Expr], almost: bool = False
 ) -> list[Expr]:
-    """Return the matrix of second derivatives; what is below the diagonal is what is above it."""
+    """Return the matrix of second derivatives; those below the diagonal are copied from above."""
     x, zero = [*map(engine.take, x)], engine.take(sympy.Integer(0))
     upper = [engine.gradient(e, x[i:], almost) for i, e in enumerate(gradient)]
     return [
@@ -872,9 +875,9 @@ def _without(engine: Any, expressions: Iterable[Expr], values: Rule) -> list[Exp
 
 
 def _are_without(slopes: Iterable[Expr], e: Expr, symbols: Collection[Expr]) -> bool:
-    """Return whether it is seen, without a proof, that derivatives of e depend on none of symbols.
+    """Return whether derivatives of e are independent of symbols, by inspection without proof.
 
-    So it is where these occur neither in the derivatives nor in a function of e that has pieces.
+    The symbols must occur neither in the derivatives nor in a piecewise function in e.
     """
     parts = (*slopes, *e.atoms(*PIECES))
     return not any(part.free_symbols.intersection(symbols) for part in parts)
@@ -904,8 +907,8 @@ def _kind(
 ) -> tuple[str, list[Expr]]:
     """Return the kind of the constraints, and phi_v without v unless they are nonlinear.
 
-    They are affine if it is seen or proved that phi = mu(q) v + a(q), linear if a is proved to be
-    zero.
+    Constraints are affine if phi = mu(q) v + a(q) is evident or proved, and linear if a is proved
+    to be zero.
     """
     n, rest = model.n, dict.fromkeys(model.v, sympy.Integer(0))
     given = _of_each(engine.give, phi_v)
@@ -937,7 +940,7 @@ def _kind(
 
 
 def _latex_symbol(name: str) -> str:
-    """Return a name as LaTeX; a strange one letter by letter, so that it cannot be a command."""
+    """Return a name as LaTeX; an unusual one letter by letter, so that it cannot be a command."""
     if name.replace("_", "").isalnum() and name.isascii():
         return str(sympy.latex(sympy.Symbol(name)))
     safe = "".join(c if c.isalnum() else " " for c in name)
@@ -1018,7 +1021,7 @@ _STRUCTURE = (
 def require_known(
     expression: Expr, where: str, shown: Callable[[Expr], Expr] = lambda e: e
 ) -> None:
-    """Raise ValueError if an expression has a part for which no program is generated."""
+    """Raise ValueError if an expression has a part that cannot be compiled."""
     for e in sympy.preorder_traversal(expression):
         if isinstance(e, (*_STRUCTURE, *FUNCTIONS)):
             if isinstance(e, sympy.Float | sympy.Rational):

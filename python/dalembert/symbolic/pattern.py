@@ -1,4 +1,4 @@
-"""Which entries of a model's matrices are zero everywhere: what its step routine leaves out."""
+"""The entries of a model's matrices that are zero everywhere, which its step routine omits."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ Rows = list[list[bool]]
 
 @dataclass(frozen=True)
 class Pattern:
-    """The entries that may be other than zero, as ``dal_pattern`` of kernel.h.
+    """The entries that may be nonzero, as in ``dal_pattern`` of kernel.h.
 
     Attributes
     ----------
     inverse, mu, Z, N, pull, kick, one, L_vq, F_q, F_v, K : list of list of bool
         Row by row; ``pull``, ``kick`` and ``one`` have one row.
     steady : bool
-        Whether no reaction pushes a coordinate that mu depends on, and nothing depends on time.
+        Whether no constraint force acts on a coordinate that mu depends on, and nothing depends on
+        time.
     apart : bool
-        Whether it is steady, and V pushes no such coordinate either.
+        Whether the system is steady, and V_q does not act on such a coordinate either.
     """
 
     inverse: Rows
@@ -44,7 +45,7 @@ class Pattern:
     apart: bool
 
     def initializer(self) -> str | None:
-        """Return the ``dal_pattern`` in C; None if there are too many coordinates for one."""
+        """Return the ``dal_pattern`` in C; None if there are too many coordinates."""
         if len(self.inverse) > MOST:
             return None
         matrices = (
@@ -112,7 +113,7 @@ def pattern(model: Model) -> Pattern:
 
 
 def field_zeros(model: Model) -> str:
-    """Return the ``dal_field_zeros`` of field.h in C; of at most `MOST` coordinates."""
+    """Return the ``dal_field_zeros`` of field.h in C, for at most `MOST` coordinates."""
     n, terms = model.n, model.terms.outputs
 
     def rows(entries: Sequence[Any], columns: int = n) -> Any:
@@ -127,7 +128,7 @@ def field_zeros(model: Model) -> str:
 
 
 def _closed(coupled: Any) -> Any:
-    """Return which coordinates are coupled through others: the entries of the inverse."""
+    """Return the pairs of coordinates coupled through others: the entries of the inverse."""
     for _ in range(len(coupled).bit_length()):
         coupled = coupled @ coupled
     return coupled

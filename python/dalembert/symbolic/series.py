@@ -28,13 +28,13 @@ _BRANCHED = of_sympy("log asin acos acosh atanh atan2")
 def ode(model: Model, heyoka: Any) -> tuple[list[tuple[Any, Any]], bool]:
     """Return the pairs of a variable and its rate, and whether the series may pass a branch point.
 
-    The variables are those of (q, v); the parameters of heyoka are those of the model, then its
+    The variables are (q, v).  The parameters of heyoka are the parameters of the model, then its
     inputs.  The multipliers are eliminated as in field.h.
 
     Raises
     ------
     ValueError
-        If something has no Taylor series; the text says what, in the user's names.
+        If an expression has no Taylor series.  The message has it, in the user's names.
     """
     function = model.terms
     outputs = {name: [*map(function.engine.give, x)] for name, x in function.outputs.items()}
@@ -70,9 +70,10 @@ def ode(model: Model, heyoka: Any) -> tuple[list[tuple[Any, Any]], bool]:
 
 
 def _is_whole(e: Expr) -> bool:
-    """Return whether an expression is Piecewise((0, n = 0), (f, True)) with an f that is 0 there.
+    """Return whether an expression is Piecewise((0, n = 0), (f, True)) with f = 0 at n = 0.
 
-    So the derivative n x^(n - 1) of x^n has two pieces, as at n = 0 and x = 0 it is no number.
+    The derivative n x^(n - 1) of x^n has these two pieces, because it is undefined at n = 0 and x =
+    0.
     """
     if not isinstance(e, sympy.Piecewise):
         return False
@@ -108,7 +109,7 @@ def _dot(a: list[Term], b: list[Term]) -> Term:
 
 
 def _solve(A: list[list[Term]], rights: list[list[Term]]) -> list[list[Term]]:
-    """Return A^-1 of each right side, of a positive definite A, which needs no pivots."""
+    """Return A^-1 times each right side, for a positive definite A, without pivoting."""
     A, rights, n = [[*row] for row in A], [[*x] for x in rights], len(A)
     for j in range(n):
         for i in range(j + 1, n):
@@ -131,7 +132,7 @@ def _solve(A: list[list[Term]], rights: list[list[Term]]) -> list[list[Term]]:
 
 
 class _Writer:
-    """Expressions of SymPy as those of heyoka."""
+    """Conversion of SymPy expressions to heyoka expressions."""
 
     def __init__(self, heyoka: Any, known: dict[Expr, Any], shown: Callable[[Expr], Expr]) -> None:
         self.heyoka, self.known, self.shown = heyoka, known, shown
@@ -164,7 +165,7 @@ class _Writer:
         return found / self.heyoka.prod(below) if below else found
 
     def power(self, base: Expr, exponent: Expr) -> Any:
-        """Return a power; whole ones are products, as heyoka's have no series where x is 0."""
+        """Return a power; integer powers become products, for heyoka's have no series at 0."""
         if base == sympy.E:
             return self.heyoka.exp(self(exponent))
         if exponent.is_Integer and 1 <= abs(exponent) <= 64:

@@ -1,11 +1,10 @@
-"""Whether an expression is zero everywhere: decided exactly, over the rational numbers.
+"""Proofs that an expression is zero everywhere, over the rational numbers.
 
-An expression is written as a polynomial, with rational coefficients and exponents of any sign, in
-its symbols, in the sines, cosines and exponentials of the terms of their arguments, in roots and
-sums that stand in a denominator, and in whatever else occurs, each of these a letter.  The
-relations between them, such as s^2 = 1 - c^2, are then put in.  What is left is empty only if the
-expression is zero wherever it is defined.  The converse does not hold: of Max(0, x) Max(0, -x)
-nothing is known.
+An expression is written as a polynomial in letters, with rational coefficients and integer
+exponents of any sign.  The letters are its symbols; sines, cosines and exponentials of the terms of
+their arguments; roots; sums in denominators; and all other functions.  Then relations between the
+letters, such as s^2 = 1 - c^2, are substituted.  If the result is empty, the expression is zero
+wherever it is defined.  The converse does not hold: Max(0, x) Max(0, -x) is not decided.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ _PATIENCE = 20_000
 
 
 def of_sympy(names: str) -> tuple[Any, ...]:
-    """Return what SymPy has by these names."""
+    """Return the objects of SymPy with these names."""
     return tuple(getattr(sympy, name) for name in names.split())
 
 
@@ -45,7 +44,7 @@ PIECES = of_sympy("Abs sign Heaviside Max Min Piecewise Rel")
 
 
 class _Undecided(Exception):
-    """It takes too long, or something that may be zero stands in a denominator."""
+    """A proof takes too long, or a denominator may be zero."""
 
 
 def is_zero(expression: Expr) -> bool:
@@ -88,7 +87,7 @@ class _Form:
         self.known.clear()
 
     def letter(self, key: Hashable, exponent: int = 1) -> Polynomial:
-        """Return a letter, a new one for what was not seen before."""
+        """Return the letter of a key, a new one for a new key."""
         return {((self.letters.setdefault(key, len(self.letters)), exponent),): QQ(1)}
 
     def times(self, a: Polynomial, b: Polynomial) -> Polynomial:
@@ -99,7 +98,7 @@ class _Form:
         return _collected((_product(one, other), x * y) for (one, x), (other, y) in pairs)
 
     def power(self, a: Polynomial, exponent: int) -> Polynomial:
-        """Return a^exponent; a sum below a fraction line becomes a letter."""
+        """Return a^exponent; a sum in a denominator becomes a letter."""
         if len(a) == 1:
             ((term, x),) = a.items()
             return {tuple((g, k * exponent) for g, k in term): x**exponent}
@@ -143,7 +142,7 @@ class _Form:
         return self.letter(e)
 
     def multiples(self, e: Expr) -> list[tuple[Monomial, int]] | None:
-        """Return the argument of a function as whole multiples of units; None if they are large."""
+        """Return the argument of a function as integer multiples of units, None if too large."""
         found = [(term, x * self.units.get(term, 1)) for term, x in self.of(e.args[0]).items()]
         if any(x.denominator != 1 or abs(x) > _LARGEST for _, x in found):
             return None
@@ -189,9 +188,9 @@ class _Form:
         return {t: x / 2 for t, x in (sine if isinstance(e, sympy.sinh) else cosine).items()}
 
     def reduced(self, a: Polynomial) -> Polynomial:
-        """Return a, times something that is not zero, with all relations put in.
+        """Return a times a nonzero factor, after substitution of all relations.
 
-        Later letters first, for they are made of earlier ones.
+        Later letters are substituted first, because they depend on earlier ones.
         """
         for g in sorted(self.relations, reverse=True):
             degree, base = self.relations[g]
@@ -215,7 +214,7 @@ _EXPONENTIAL = of_sympy("exp sinh cosh tanh")
 
 
 def _collected(terms: Iterable[tuple[Any, Any]]) -> dict[Any, Any]:
-    """Return a sum: what belongs to each key together, but nothing that is 0."""
+    """Return a sum with like terms combined, without zeros."""
     found: dict[Any, Any] = {}
     for key, x in terms:
         found[key] = found.get(key, 0) + x
