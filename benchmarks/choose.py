@@ -5,8 +5,8 @@ Usage: ``./dev shell python benchmarks/choose.py``, a minute on a quiet machine;
 
 Asks `dal.recommend` for systems of every kind and four accuracies, ROUNDS times, and writes the
 milliseconds of all that it tried to docs/howto/scheme.json, and from these the tables between the
-marks of docs/howto/scheme.md.  The column "choose it" of the README is held against the file by
-tests/python/study/test_choice.py.
+marks of docs/howto/scheme.md.  tests/python/study/test_choice.py compares the last column of
+docs/reference/schemes.md with the file.
 """
 
 from __future__ import annotations

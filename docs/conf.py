@@ -55,12 +55,8 @@ logging.getLogger("sphinx.sphinx.directives.other").addFilter(
 
 
 def prepare(app, name, source):
-    """Make a link to the README, which is no page of the site, one to the file.
-
-    And put what pictures show on one line, as MyST joins lines without a space there.
-    """
-    text = source[0].replace("](../README.md)", "](path:../README.md)")
-    source[0] = re.sub(r"!\[[^\]]*\]\(", lambda found: found[0].replace("\n", " "), text)
+    """Put the texts of pictures on one line: MyST joins their lines without a space."""
+    source[0] = re.sub(r"!\[[^\]]*\]\(", lambda found: found[0].replace("\n", " "), source[0])
 
 
 def skip(app, what, name, member, skipped, options):

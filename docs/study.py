@@ -1,7 +1,8 @@
-"""Draws docs/study.png, the picture of the README: `./dev shell python docs/study.py`.
+"""Draws the pictures of the first pages: `./dev shell python docs/study.py`.
 
-Left, the study of eight schemes on the nonholonomic particle: the error at t = 4 against the step,
-with the fitted orders.  Right, what `midpoint` keeps at moved nodes (D) and at kept nodes (D_eps).
+The film docs/trailers.gif, and docs/study.png.  Its upper panel is the study of six schemes on the
+nonholonomic particle: the error at t = 4 against the step, with the fitted orders.  Below are the
+residuals of `midpoint` at moved nodes (D) and at kept nodes (D_eps).
 """
 
 from pathlib import Path
@@ -30,3 +31,6 @@ above, below = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
 dal.plot.convergence(studies, ax=above.subplots(), styles=styles)
 dal.plot.drift(runs, ax=below.subplots(1, 2, sharey=True), styles=styles)
 figure.savefig(Path(__file__).with_name("study.png"), dpi=90, metadata={"Software": None})
+
+trailers = dal.integrate(dal.systems.n_trailer(), "leapfrog", h=0.02, t_end=9)
+dal.plot.animate(trailers, fps=15, seconds=5).save(Path(__file__).with_name("trailers.gif"))

@@ -43,7 +43,7 @@ def only(root: Path, name: str) -> Path:
 
 def blocks(page: Path) -> list[str]:
     """The programs in C in a page."""
-    found = re.findall(r"^```c\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
+    found = re.findall(r"^```c\b[^\n]*\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
     return found or sys.exit(f"{page} has no block of C")
 
 

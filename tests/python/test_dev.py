@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-DEV = Path(__file__).parents[2] / "dev"
+ROOT = Path(__file__).parents[2]
+DEV = ROOT / "dev"
 STUB = r"""#!/bin/sh
 log() { (IFS='|'; printf '%s\n' "$*") >>"$LOG"; }
 case ${0##*/}:$* in
@@ -22,6 +23,7 @@ case ${0##*/}:$* in
     mkdir -p "$3/bin"
     for name in python meson; do cp "$0" "$3/bin/$name"; done
     ;;
+  python:-m\ dalembert*) log "$@" ;;
   python:*pip\ *) log "$@" && [ ! -e "$LOG.full" ] ;;
   meson:configure*) log "$@" ;;
   meson:setup*) log "$@" && mkdir -p "$2" && touch "$2/build.ninja" ;;
@@ -83,6 +85,22 @@ def test_one_clone_by_several_names(clone):
         assert dev(name, "build")[0] == 0
     assert len(logged("venv")) == 1 and len(logged("begin")) == 3
     assert not (clone.parent / "build-dev").exists()
+
+
+def test_the_two_commands_of_the_readme(clone):
+    """They do all set-up; one runs the main job, one the tests."""
+    block = re.search("```sh\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    commands = block[1].splitlines()
+    assert len(commands) == 2 and all(dev("sh", "-c", x, cwd=clone)[0] == 0 for x in commands)
+    assert len(logged("venv")) == 1
+    assert logged("-m.dalembert|tested") == ["-m|dalembert|study|particle", "tested"]
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/howto/install.md"])
+def test_pages_name_commands_that_exist(page):
+    named = set(re.findall(r"\./dev (\w+)", (ROOT / page).read_text(encoding="utf-8")))
+    usage = subprocess.run([DEV, "help"], capture_output=True, text=True, check=True)
+    assert named and named <= {*re.findall(r"^  (\w+)", usage.stdout + usage.stderr, re.M)}
 
 
 def started(clone):

@@ -21,9 +21,9 @@ def ratio(kind, name, accuracy):
 
 
 def chosen():
-    """Yield (scheme, accuracy) as the column "choose it" of the README has them."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    for row in re.findall(r"^\| `.*\|$", text.split("| choose it |")[1].split("\n\n")[0], re.M):
+    """Yield (scheme, accuracy) as the page of schemes recommends them."""
+    text = (ROOT / "docs" / "reference" / "schemes.md").read_text(encoding="utf-8")
+    for row in re.findall(r"^\| `.*\|$", text.split("| recommended for |")[1].split("\n\n")[0], re.M):
         name, *_, words = row.strip("| ").split(" | ")
         scheme = re.findall("`(.*?)`", name)[-1]
         for word in re.findall(r"`.*?`|1e-\d+", words):
@@ -42,11 +42,11 @@ def test_the_page_has_the_tables_of_the_file():
 
 
 @pytest.mark.parametrize("scheme, accuracy", sorted(set(chosen())))
-def test_the_readme_names_what_is_fast(scheme, accuracy):
+def test_the_page_of_schemes_names_fast_ones(scheme, accuracy):
     assert ratio(CONSTANT, scheme, accuracy) <= NEARLY
 
 
-def test_the_readme_names_what_is_fastest():
+def test_the_page_of_schemes_names_the_fastest():
     named = set(chosen())
     for accuracy in choose.ACCURACIES:
         columns = choose.ratios(RESULTS[CONSTANT], accuracy)
@@ -54,7 +54,7 @@ def test_the_readme_names_what_is_fastest():
         assert (fastest, accuracy) in named, (fastest, accuracy)
 
 
-def test_reference_is_fast_where_the_readme_says():
+def test_reference_is_fast_where_the_page_of_schemes_says():
     for kind in (GENERAL, CHANGING):
         for accuracy in choose.ACCURACIES:
             assert ratio(kind, "reference", accuracy) <= NEARLY, (kind, accuracy)
