@@ -23,7 +23,8 @@ def ratio(kind, name, accuracy):
 def chosen():
     """Yield (scheme, accuracy) as the page of schemes recommends them."""
     text = (ROOT / "docs" / "reference" / "schemes.md").read_text(encoding="utf-8")
-    for row in re.findall(r"^\| `.*\|$", text.split("| recommended for |")[1].split("\n\n")[0], re.M):
+    table = text.split("| recommended for |")[1].split("\n\n")[0]
+    for row in re.findall(r"^\| `.*\|$", table, re.M):
         name, *_, words = row.strip("| ").split(" | ")
         scheme = re.findall("`(.*?)`", name)[-1]
         for word in re.findall(r"`.*?`|1e-\d+", words):
