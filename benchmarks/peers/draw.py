@@ -159,11 +159,11 @@ def bars(results: dict[str, Any]) -> Iterator[str]:
         if ours is None:
             least = min((e, x) for x in state if x in OURS and x != "reference taylor"
                         for _, e in curve(state[x]))  # fmt: skip
-            yield (f"{goal}{verdict(False)}, no method of dalembert comes that near; the smallest "
-                   f"error is {number(least[0])}, of {least[1]}.")  # fmt: skip
+            yield (f"{goal}{verdict(False)}, no method of dalembert reaches it; the smallest "
+                   f"error is {number(least[0])}, by {least[1]}.")  # fmt: skip
             continue
         ratios = ", ".join(
-            f"{ours[0] / s:.2f} times that of {x} ({number(1e3 * s)} ms)"
+            f"{ours[0] / s:.2f} times as long as {x} ({number(1e3 * s)} ms)"
             for x, s in theirs.items() if s
         )  # fmt: skip
         yield (f"{goal}{verdict(ours[0] <= allowed * theirs['heyoka'])}; {ours[1]} takes "
@@ -182,15 +182,15 @@ def bars(results: dict[str, Any]) -> Iterator[str]:
         if parts[IN_D]:
             yield (f"- **The energy up to T = {power(T)}, {number(factor)} times better than the "
                    f"best peer at equal cpu time, on {ENERGY_COUNT} reversible problems**: "
-                   f"{verdict(enough >= ENERGY_COUNT)}, on {enough}, where all get the same "
-                   f"equations.  The error of the best peer over that of dalembert: "
-                   f"{'; '.join(parts[IN_D])}; and where peers get the equations in D, which a "
-                   f"person has to find: {'; '.join(parts[()])}.")  # fmt: skip
+                   f"{verdict(enough >= ENERGY_COUNT)}, on {enough}.  With the same equations for "
+                   f"all, the error of the best peer over that of dalembert: "
+                   f"{'; '.join(parts[IN_D])}.  The same ratio if peers get the equations in D: "
+                   f"{'; '.join(parts[()])}.")  # fmt: skip
     for p in problems.values():
         work = p.get("work", {})
         parts = []
         kinds = (
-            ("steps of one size and of controlled error", (*FLOWS, *KEEP), WORK),
+            ("fixed and controlled steps", (*FLOWS, *KEEP), WORK),
             ("`energy=\"keep\"`", [x for x in OURS if x not in KEEP], WORK[-2:]),
         )
         for what, but, errors in kinds:
@@ -201,19 +201,18 @@ def bars(results: dict[str, Any]) -> Iterator[str]:
                 if reference and found:
                     ratios.append((found[0] / reference, found[1], a))
             if ratios:
-                parts.append(f"with {what} {verdict(max(ratios)[0] <= 1)}, the time over that of "
-                             "`reference` is "
-                             + ", ".join(f"{number(r)} at {power(a)} ({name})"
-                                         for r, name, a in ratios))  # fmt: skip
+                times = [f"{number(r)} at {power(a)} ({name})" for r, name, a in ratios]
+                times[0] = times[0].replace(" at", " times as long at")
+                parts.append(f"with {what} {verdict(max(ratios)[0] <= 1)}; {', '.join(times)}")
         if parts:
-            yield (f"- **At least level with `reference` at equal error of the energy**, up to "
+            yield (f"- **At least level with `reference` at equal error of the energy**, to "
                    f"t = 1000, {p['title']}: {'; '.join(parts)}.")  # fmt: skip
 
 
 def summary(results: dict[str, Any]) -> Iterator[str]:
     """Where dalembert wins and loses, counted."""
     problems = results["problems"].values()
-    kinds = (((), "among all"), (IN_D, "without the equations in D, see below"))
+    kinds = (((), "among all"), (IN_D, "without the equations in D"))
     yield "## In short"
     yield ""
     yield from bars(results)
@@ -227,7 +226,7 @@ def summary(results: dict[str, Any]) -> Iterator[str]:
                     name = min(found)[1]
                     first.append("dalembert" if name in OURS else name)
         yield (f"- **The state at t = 100**, {what}.  {len(first)} pairs of a problem and an "
-               f"accuracy; first in cpu time: {count(first)}.")  # fmt: skip
+               f"accuracy; fastest: {count(first)}.")  # fmt: skip
     for but, what in kinds:
         parts = []
         for T in times_of(results):
@@ -239,8 +238,8 @@ def summary(results: dict[str, Any]) -> Iterator[str]:
                     first.append("dalembert" if name in OURS else name)
             if first:
                 parts.append(f"up to {power(T)}: {count(first)}")
-        yield (f"- **The energy over long times**, {what}.  The smallest error at equal cpu time "
-               f"has, {'; '.join(parts)}.")  # fmt: skip
+        yield (f"- **The energy over long times**, {what}.  Number of problems with the smallest "
+               f"error at equal cpu time, {'; '.join(parts)}.")  # fmt: skip
     yield ""
 
 
@@ -250,17 +249,17 @@ def state_part(results: dict[str, Any]) -> Iterator[str]:
     yield ""
     yield "![The error of the state at t = 100 against the cpu time of a call](peers-state.png)"
     yield ""
-    yield "Who reaches an accuracy first, of dalembert (bold where it wins) and of all others;"
-    yield "times between two settings are interpolated by logarithms.  `reference taylor`, which is"
-    yield "heyoka from within dalembert, counts for neither; it is in the tables below:"
+    yield "The fastest method for each accuracy, of dalembert (bold if it wins) and of all others."
+    yield "Times between two settings are interpolated logarithmically.  `reference taylor`, which"
+    yield "calls heyoka, counts for neither; it is in the tables below:"
     yield ""
     yield from table(
         ["", *(power(a) for a in ACCURACIES)],
         [[p["title"], *(duel(best(p["state"], a, True), best(p["state"], a, False))
                         for a in ACCURACIES)] for p in problems.values()],
     )  # fmt: skip
-    yield "The same, `reference` against the same integrator of GSL by hand in C, and the fastest"
-    yield "composition against `reference`:"
+    yield "Here `reference` is compared with the same integrator of GSL, coded by hand in C, and"
+    yield "the fastest composition with `reference`:"
     yield ""
     rows = []
     for p in problems.values():
@@ -277,7 +276,7 @@ def state_part(results: dict[str, Any]) -> Iterator[str]:
     yield from table(["", "1e-6: GSL", "1e-6: compositions", "1e-9: GSL", "1e-9: compositions"],
                      rows)  # fmt: skip
     yield "Milliseconds of cpu time for an error of the state; - : not reached with the settings"
-    yield "that were tried, or the method does not do the problem."
+    yield "that were tried, or the method does not apply to the problem."
     yield ""
     for accuracy in (*ACCURACIES[:3], ACCURACIES[-1]):
         yield f"### {power(accuracy)}"
@@ -301,16 +300,16 @@ def energy_part(results: dict[str, Any]) -> Iterator[str]:
     yield ""
     yield "![The largest error of the energy up to T, at equal cpu time](peers-energy.png)"
     yield ""
-    yield "Every method is given about the cpu time of heyoka with its default tolerance (or of"
-    yield "`reference` with 1e-9, where heyoka is not installed), by the choice of its step or"
-    yield "tolerance.  Those that cannot be as fast run as they are usually run, and their time is"
-    yield "in the last table.  Who has the smaller error of the energy, dalembert (bold) or the"
-    yield "best of others, among methods that take at most twice that time (`odelab energy` aside,"
-    yield "which conserves the energy by construction, but does not stay in D):"
+    yield "The step or tolerance of every method is chosen for about the cpu time of heyoka with"
+    yield "its default tolerance.  (If heyoka is not installed, `reference` with 1e-9 takes its"
+    yield "place.)  Methods that cannot be as fast run with their usual settings, and their time is"
+    yield "in the last table.  The first table has the smaller error of the energy, of dalembert"
+    yield "(bold) or of the best other method.  It omits methods that take more than twice that"
+    yield "time, and `odelab energy`, which conserves the energy but does not stay in D:"
     yield ""
     for but in ((), IN_D):
         if but:
-            yield "The same without the equations in D, for those who have no basis of it:"
+            yield "The same without the equations in D, which need a basis of D:"
             yield ""
         rows = []
         for p in problems.values():
@@ -326,8 +325,8 @@ def energy_part(results: dict[str, Any]) -> Iterator[str]:
                 row.append(f"{bold} {number(first)}; {other} {number(second)}")
             rows.append(row)
         yield from table(["", "cpu for t = 1", *(power(T) for T in times)], rows)
-    yield "The largest error of the energy up to T, and the cpu time for a unit of time.  The last"
-    yield "column is the largest residual of the constraints in all these states."
+    yield "These tables show the largest error of the energy up to T, and the cpu time for a unit"
+    yield "of time.  The last column is the largest residual of the constraints in these states."
     yield ""
     for p in problems.values():
         yield f"### {p['title']}"
@@ -347,7 +346,7 @@ def energy_part(results: dict[str, Any]) -> Iterator[str]:
     for p in problems.values():
         if "work" not in p:
             continue
-        yield f"## What an error of the energy costs: {p['title']}"
+        yield f"## The cost of an error of the energy: {p['title']}"
         yield ""
         yield "Milliseconds of cpu time up to t = 1000 for a largest error of the energy; - : not"
         yield "reached with the settings of the state that were fast enough to be tried:"
@@ -361,43 +360,45 @@ def energy_part(results: dict[str, Any]) -> Iterator[str]:
 INTRODUCTION = """\
 # dalembert and its peers
 
-The same problems, from the same lines of SymPy, in one process, with the peers in turn; made by
+This page compares run time and accuracy of dalembert and six other codes.  All codes get equations
+generated from the same SymPy model and run in one process, in turn; variants marked "in D" get the
+equations reduced by hand.  To reproduce it:
 
     python benchmarks/peers/run.py
 
-which writes this page, its pictures and `peers.json` anew.  Peers that are not installed are left
-out: `pip install heyoka scipy numba scikit-sundae exudyn`.
+This writes the page, its pictures and `peers.json`.  Peers that are not installed are skipped:
+`pip install heyoka scipy numba scikit-sundae exudyn`.
 
 """
 
 HOW = """\
 ## How it was measured
 
-- Time is cpu time of the call that a user makes, from Python, with all that this costs (some 0.05
-  ms for `dal.integrate`); the median of rounds, in each of which every method runs with each of
-  its settings, in an order that changes.  Making and compiling models is not in it: see below.
-- The error is the largest difference of a coordinate or velocity, against a state of 21 digits:
-  extrapolation (Gragg) in 34 digits, done twice with other steps and orders, which agree to 1e-25,
-  and with heyoka in long double to 1e-15 (`benchmarks/peers/reference.py`); on the comet to 1e-19,
-  as with the solution by Kepler's equation, and 2e-15.
-- All get the equations in (q, v) with the multipliers eliminated by SymPy, `v' = f(t, q, v)`;
-  heyoka and GSL also those *in D*, for which a person has found n - m velocities w with
-  `v = B(q) w` and the equations for (q, w): with these the motion cannot leave D.  The problems
-  here all have such a basis, for all q.  dalembert, Exudyn and the schemes of odelab get the
-  constraints.
-- heyoka with `compact_mode=False`; SciPy and scikit-sundae call right-hand sides and Jacobians
-  that numba has compiled; CVODE with Adams methods, IDA in the form of index 1 (that of index 2
-  needs an option that scikit-sundae does not have); GSL in C with `-O3 -march=native`; Exudyn with
-  `TrapezoidalIndex2` and a constraint on the level of velocities, whose functions are called in
-  Python; the schemes of odelab are written anew from their papers and compiled by numba.
-  `suzuki4`, `kl6`, `kl8` and `ss10` are those of leapfrog; of midpoint where M depends on q or a
-  force on v.  `auto` are steps of controlled error, `h="auto"`; `keep` is `energy="keep"`.
-  `reference` is `method="rk8pd"`, `reference taylor`
-  `method="taylor"`, which is heyoka, on the equations that dalembert derives.
-- The energy is followed in stretches of 20 states, each of which is a call that knows nothing of
-  those before it.  Methods that only repeat what others show are left out of it.
-- McLachlan and Perlmutter's scheme is `leapfrog`, written another way: the errors are the same.
-  The reflecting leapfrog and SPARK 2 have the same errors too.
+- Time is the cpu time of a user's call from Python, with its overhead (some 0.05 ms for
+  `dal.integrate`).  It is the median of rounds; each round runs every method with each of its
+  settings, in a different order.  It excludes building and compiling models: see below.
+- The error is the largest difference of a coordinate or velocity from a state of 21 digits.  This
+  state is computed by extrapolation (Gragg) in 34 digits, twice with different steps and orders.
+  The two agree to 1e-25.  With heyoka in long double they agree to 1e-15
+  (`benchmarks/peers/reference.py`).  On the comet they agree to 1e-19, also with the solution by
+  Kepler's equation, and with heyoka to 2e-15.
+- All codes get `v' = f(t, q, v)`, the equations with the multipliers eliminated by SymPy.  The
+  codes heyoka and GSL also get the equations *in D*, for (q, w): n - m velocities w with
+  `v = B(q) w`, chosen by hand.  With these the motion cannot leave D.  All problems here have such
+  a basis, for all q.  dalembert, Exudyn and the schemes of odelab get the constraints.
+- heyoka runs with `compact_mode=False`.  SciPy and scikit-sundae call right-hand sides and
+  Jacobians compiled by numba.  CVODE uses Adams methods, IDA the form of index 1 (index 2 needs an
+  option that scikit-sundae does not have).  GSL is called in C with `-O3 -march=native`.  Exudyn
+  uses `TrapezoidalIndex2` and a constraint on the level of velocities, whose functions are called
+  in Python.  The schemes of odelab are implemented from their papers and compiled by numba.
+- `suzuki4`, `kl6`, `kl8` and `ss10` are compositions of leapfrog, or of midpoint if M depends on q
+  or a force on v.  `auto` means controlled steps, `h="auto"`; `keep` is `energy="keep"`.
+  `reference` is `method="rk8pd"`.  `reference taylor` is `method="taylor"`, which calls heyoka
+  with the equations that dalembert derives.
+- The energy is computed in stretches of 20 states; each stretch is a separate call.  Methods that
+  only repeat others are omitted there.
+- McLachlan and Perlmutter's scheme is `leapfrog` in another form: the errors are the same.  The
+  reflecting leapfrog and SPARK 2 have the same errors too.
 
 ## Problems
 
@@ -421,7 +422,7 @@ def page(results: dict[str, Any]) -> str:
             refused.setdefault(f"{name}: {reason}", set()).add(p["title"])
     lines.append("")
     if refused:
-        lines += ["Not done:", ""]
+        lines += ["Not applicable:", ""]
         lines += [f"- {what} ({', '.join(sorted(where))})." for what, where in refused.items()]
         lines.append("")
     failures = [
@@ -438,9 +439,9 @@ def page(results: dict[str, Any]) -> str:
     if failures:
         lines += ["Runs that failed:", "", *failures, ""]
     lines += ["## Seconds until a model runs", "",
-              "From the reduced equations, or the Lagrangian for dalembert, to something that runs:"
-              " derivatives, and the compilers of each; without the caches of dalembert and"
-              " heyoka, with which both need some hundredths.", ""]  # fmt: skip
+              "From the reduced equations (dalembert: from the Lagrangian) to code that runs.  The"
+              " time includes derivatives and compilation, without the caches of dalembert and"
+              " heyoka; with their caches both need some hundredths.", ""]  # fmt: skip
     rows = [[f"`{name}`" if name in OURS else name,
              *(number(p["state"][name]["compile"]) if name in p["state"] else "-"
                for p in results["problems"].values())]

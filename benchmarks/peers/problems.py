@@ -261,13 +261,13 @@ def gyroscopic() -> Problem:
 
 
 def comet() -> Problem:
-    """Its data are exact in binary: the motion multiplies what is rounded there by some 1000."""
+    """Its data are exact in binary, because the motion multiplies their roundoff by some 1000."""
     (x, y, z), (u, v, w) = q, vel = _symbols("x y z")
     return Problem(
         "comet", "comet",
-        "`L = |v|²/2 + 1/sqrt(x² + y²)`, `z' = x y' - y x'`; an ellipse of eccentricity 0.9, with "
-        "17 close approaches up to t = 100, which multiply what is rounded by some 1000, so that "
-        "small steps end at 1e-10; all steps are 20 times shorter than on other problems",
+        "`L = |v|²/2 + 1/sqrt(x² + y²)`, `z' = x y' - y x'`; an ellipse of eccentricity 0.9. "
+        "The 17 close approaches up to t = 100 multiply roundoff by some 1000, so small steps end "
+        "at 1e-10. All steps are 20 times shorter than on other problems",
         q, vel, (u**2 + v**2 + w**2) / 2 + 1 / sp.sqrt(x**2 + y**2),
         (w - x * v + y * u,),
         (R(3, 32), 0, 0), (0, R(9, 2), R(27, 64)),
