@@ -188,8 +188,8 @@ bool dal__newton_halve(dal__progress *p, int status, size_t size, double *z, dou
 /* Of what is DONE where the determinant of the Newton matrix is negative.  As h goes to 0 it goes
  * to that of M and mu M^-1 mu^T, which is positive, so it has changed its sign on the way. */
 #define DAL__BRANCH_TEXT \
-    "Newton did not converge to the solution that small steps lead to but to another, where the " \
-    "determinant of its matrix is negative: try a smaller h, unless the constraints lose rank here"
+    "Newton converged to a spurious solution (the determinant of its matrix is negative): h is " \
+    "probably too large. If a smaller h does not help, check whether the constraints lose rank here"
 
 /* Equations for the unknowns z[size].  The caller has its own linear algebra: find_step sets step,
  * and what else is below it, or returns a status, which ends the iteration and is for find_step to

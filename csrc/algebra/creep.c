@@ -34,9 +34,9 @@ int dal__creep_check(dal__creep *self, double t, double span, dal_error *error)
     self->mark = t;
     self->since = 0;
     if (!creeps) return DAL_SUCCESS;
-    return dal__fail(error, DAL_ENOCONV, "%d steps lead no farther than %.1e, to t = %.17g, where "
-                     "steps of up to %.1e were long enough before: the force jumps or is singular "
-                     "there.  For dry friction write a smooth law, as tanh(v/eps) for sign(v), or "
-                     "switch between two systems by a terminal event", WINDOW, advance, t,
-                     self->longest);
+    return dal__fail(error, DAL_ENOCONV, "the step size collapsed: %d steps advanced by only %.1e, "
+                     "to t = %.17g, after steps of up to %.1e. The force probably jumps or is "
+                     "singular there. For dry friction use a smooth law, such as tanh(v/eps) for "
+                     "sign(v), or switch between two systems at a terminal event", WINDOW, advance,
+                     t, self->longest);
 }

@@ -79,11 +79,12 @@ int dal__newton_run(dal__newton *self, dal_error *error)
         if (verdict == DAL__DONE) return DAL_SUCCESS;
     }
     if (verdict == DAL__LOST && p->size <= DBL_MAX)
-        return dal__fail(error, DAL_ENOCONV, "Newton did not converge: its steps lead away from "
-                         "the start, %.3g in all where the first was %.3g, of %.3g; %s",
-                         p->travelled, p->first, p->scale, advice);
-    return dal__fail(error, DAL_ENOCONV, "Newton did not converge in %d iterations: last change "
-                     "%.3g of %.3g; %s", p->iteration, p->size, p->scale, advice);
+        return dal__fail(error, DAL_ENOCONV, "Newton did not converge: its updates add up to %.3g, "
+                         "the first was %.3g (size of the unknowns %.3g); %s", p->travelled,
+                         p->first, p->scale, advice);
+    return dal__fail(error, DAL_ENOCONV, "Newton did not converge in %d iterations: the last "
+                     "update was %.3g (size of the unknowns %.3g); %s", p->iteration, p->size,
+                     p->scale, advice);
 }
 
 void dal__root_reserve(dal__root *root, size_t most, arena *a)

@@ -219,8 +219,8 @@ static void plan(ode *shape, arena *memory)
 int dal__check_tolerance(double tolerance, dal_error *error)
 {
     if (tolerance >= LEAST_TOLERANCE && tolerance <= 0.1) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in [%.1e, 0.1]: no step is more "
-                     "accurate than roundoff", tolerance, LEAST_TOLERANCE);
+    return dal__fail(error, DAL_EINVAL, "tolerance = %g: expected a number from %.1e (roundoff) to "
+                     "0.1", tolerance, LEAST_TOLERANCE);
 }
 
 int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
@@ -421,11 +421,11 @@ static int collapsed(const ode *self, double h, dal_error *error)
         return pass_on(self, error);
     if (self->fault.status)
         return dal__fail_because(error, self->fault.status, &self->fault,
-                                 "%s: no step leads beyond t = %.17g: ", names[self->method],
+                                 "%s: cannot integrate beyond t = %.17g: ", names[self->method],
                                  self->t0 + self->elapsed);
     return dal__fail(error, DAL_ENOCONV,
-                     "%s: the step size collapsed to h = %g at t = %.17g (tolerance %g): the field "
-                     "is singular there, as in a collision, or jumps",
+                     "%s: the step size collapsed to h = %g at t = %.17g (tolerance %g): the "
+                     "equations of motion are singular or jump, as in a collision",
                      names[self->method], h, self->t0 + self->elapsed, self->tolerance);
 }
 

@@ -59,8 +59,8 @@ static int find_step(dal__newton *equations)
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[chart->place[m + j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
     if (!dal__linear_factor(&chart->G)) {
-        dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these coordinates are "
-                  "singular with h = %g", mech->start.h);
+        dal__fail(&mech->error, DAL_ESINGULAR, "the step equations in these dependent coordinates "
+                  "are singular with h = %g", mech->start.h);
         if (!dal__name_rank_lost(mech, mech->muk) && !dal__name_rank_lost(mech, mech->forms.mu))
             dal__add_words(&mech->error, DAL__RANK_OR_H);
         return DAL_ESINGULAR;
@@ -98,7 +98,8 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
     dal__move(n, mech->node, beta * h, chart->w, chart->y);
     dal__copy(n, chart->w, chart->y + n);
     if (!dal__all_finite(2 * n, chart->y))
-        return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
+        return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g; try a "
+                         "smaller h", h);
     dal__chart_drop(chart, chart->y, xi);
     dal__chart_reduce(chart, mech->muk, chart->kappa, chart->R2);
     for (size_t a = 0; lambda_E && a < chart->m; a++) lambda_E[a] = chart->R2[a] / h;

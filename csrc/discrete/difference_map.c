@@ -33,7 +33,8 @@ static int require_finite(const dal__rho *rho, const char *name, size_t count, c
     for (size_t i = 0; i < count; i++)
         if (!isfinite(x[i]))
             return dal__fail(rho->error, DAL_EDOMAIN, "difference map: %s[%zu,%zu] = %g is not "
-                             "finite, or was not written", name, i / rho->n, i % rho->n, x[i]);
+                             "finite, or the callback did not set it", name, i / rho->n, i % rho->n,
+                             x[i]);
     return DAL_SUCCESS;
 }
 
@@ -131,7 +132,7 @@ static int find_step(dal__newton *equations)
         }
     }
     for (size_t k = 0; k < N * N; k++) root->scale[k] = fabs(J[k]);
-    return dal__root_step(root, "the derivative of the difference map is singular: it has no "
+    return dal__root_step(root, "the Jacobian of the difference map is singular: the map has no "
                           "inverse here", &d->mech.error);
 }
 

@@ -18,7 +18,7 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
     const double betas[] = {lagrangian->beta, of_constraint->beta};
     for (size_t i = 0; i < 2; i++)
         if (!(betas[i] >= 0.0 && betas[i] <= 1.0))
-            return dal__fail(error, DAL_EINVAL, "%s->beta = %g is not in [0, 1]",
+            return dal__fail(error, DAL_EINVAL, "%s->beta = %g: expected a number in [0, 1]",
                              i ? "constraint" : "lagrangian", betas[i]);
 
     const size_t n = system->def.n, m = system->def.m;

@@ -60,8 +60,8 @@ static int find_velocity(search *s)
         dal__add(n, 1.0, s->end, v);
         last = size;
     }
-    return dal__fail(&s->mech->error, DAL_ENOCONV, "no velocity at q0 leads to q1: the "
-                     "last miss is %.3g of %.3g; h = %g is too large", size, scale, s->h);
+    return dal__fail(&s->mech->error, DAL_ENOCONV, "no velocity at q0 leads to q1: the last "
+                     "velocity misses by %.3g of %.3g; h = %g is too large", size, scale, s->h);
 }
 
 int dal_exact_velocity(dal_flow *flow, double t0, double h, const double *q0, const double *q1,

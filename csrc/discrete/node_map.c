@@ -255,8 +255,8 @@ static int require_on_constraint(dal_discrete *d, double t, const dal__pair *pai
     const double *const moves = d->mech.forms.moves;
     if (status || dal__is_consistent(&d->mech, d->phi_v, d->phi, d->constraint.f, moves))
         return status;
-    return dal__fail(&d->mech.error, DAL_EOFFD, "the first pair of nodes does not lie in D_d: its "
-                     "residual is %.3g, more than roundoff and %g of the terms of phi_d",
+    return dal__fail(&d->mech.error, DAL_EOFFD, "the first pair of nodes violates the discrete "
+                     "constraint: relative residual %.3g, allowed %g",
                      dal__relative_residual(&d->mech, d->phi_v, d->phi, d->constraint.f, moves),
                      DAL_CONSISTENT);
 }

@@ -23,7 +23,7 @@ static const double *place_of_L(dal_mechanics *mech, double reach, const double 
 int dal__require_beta(dal_mechanics *mech, double beta)
 {
     if (beta >= 0.0 && beta <= 1.0) return DAL_SUCCESS;
-    return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
+    return dal__fail(&mech->error, DAL_EINVAL, "beta = %g: expected a number in [0, 1]", beta);
 }
 
 int dal__reaction_forms(dal_mechanics *mech, const double *v, double *muk)
@@ -253,7 +253,8 @@ int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *wo
         status = dal__mend(mech, mech->start.end, shift, false, x, &relative);
     if (status) return status;
     if (!dal__all_finite(2 * n, x))
-        return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
+        return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g; try a "
+                         "smaller h", h);
     *worst = fmax(*worst, relative);
     return DAL_SUCCESS;
 }

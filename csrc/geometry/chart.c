@@ -88,7 +88,8 @@ static dal_constraint_kind kind(const dal_chart *chart)
 int dal__chart_ready(dal_chart *chart)
 {
     if (chart->chosen) return DAL_SUCCESS;
-    return dal__fail(&chart->mech.error, DAL_EINVAL, "no dependent coordinates are chosen yet");
+    return dal__fail(&chart->mech.error, DAL_EINVAL, "the chart has no dependent coordinates yet; "
+                     "choose them first");
 }
 
 /* What public functions ask for first: finite t and x[2n]; */
@@ -154,8 +155,8 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
     if (dal__linear_factor(&chart->B)) return DAL_SUCCESS;
     char names[128];
     write_names(chart, chart->place, m, sizeof names, names);
-    dal__fail(&chart->mech.error, DAL_ESINGULAR, "the columns of mu that belong to the dependent "
-              "coordinates %s form a singular matrix", names);
+    dal__fail(&chart->mech.error, DAL_ESINGULAR, "the coordinates %s cannot be the dependent ones "
+              "here, because their columns of mu form a singular matrix", names);
     dal__form_Z(&chart->mech, mu);
     dal__name_dependent(&chart->mech, mu, chart->mech.gram.Z, dal__rank_lost(&chart->mech),
                         &chart->mech.error);
@@ -284,12 +285,13 @@ static int check_dependent(dal_chart *chart, const size_t *dependent)
 {
     for (size_t a = 0; a < chart->m; a++) {
         if (dependent[a] >= chart->n)
-            return dal__fail(&chart->mech.error, DAL_EINVAL, "dependent[%zu] = %zu: there are n = "
-                             "%zu coordinates", a, dependent[a], chart->n);
+            return dal__fail(&chart->mech.error, DAL_EINVAL, "dependent[%zu] = %zu: expected an "
+                             "index below n = %zu", a, dependent[a], chart->n);
         for (size_t b = 0; b < a; b++)
             if (dependent[a] == dependent[b])
                 return dal__fail(&chart->mech.error, DAL_EINVAL, "dependent[%zu] and "
-                                 "dependent[%zu] are both %zu", b, a, dependent[a]);
+                                 "dependent[%zu] are both %zu: expected different coordinates", b,
+                                 a, dependent[a]);
     }
     return DAL_SUCCESS;
 }
@@ -376,8 +378,8 @@ int dal_chart_renew(dal_chart *chart, double t, const double *x, int *changed)
     if (changed) *changed = first || other;
     write_names(chart, chart->place, m, sizeof to, to);
     if (!first && other)
-        dal__fail(&chart->mech.error, DAL_SUCCESS, "the dependent coordinates change from %s, "
-                  "whose condition is %.3g here, to %s", from, condition, to);
+        dal__fail(&chart->mech.error, DAL_SUCCESS, "the dependent coordinates change from %s "
+                  "(condition %.3g here) to %s", from, condition, to);
     return DAL_SUCCESS;
 }
 
@@ -453,7 +455,8 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
                                  .measured = n, .n = n,
                                  .per_unit = chart->mech.metric.per_unit, .z = v,
                                  .step = chart->step,
-                                 .advice = "there may be no such dependent velocities"};
+                                 .advice = "the constraint may have no solution with these "
+                                           "independent velocities"};
         status = dal__newton_run(&equations, &chart->mech.error);
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;

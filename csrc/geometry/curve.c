@@ -137,8 +137,8 @@ static int check_times(dal_chart *chart, const rows *r, size_t count, const doub
     const double slack = SLACK * fmax(fabs(r->h), high - low);
     for (size_t k = 0; k < count; k++)
         if (!(t[k] >= low - slack && t[k] <= high + slack))
-            return dal__fail(&chart->mech.error, DAL_EINVAL, "t = %.12g lies outside of the stored "
-                             "states, which go from %.12g to %.12g", t[k], r->t0, end);
+            return dal__fail(&chart->mech.error, DAL_EINVAL, "t = %.12g is outside the stored "
+                             "states: expected a time from %.12g to %.12g", t[k], r->t0, end);
     return DAL_SUCCESS;
 }
 
@@ -196,7 +196,7 @@ int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, s
                                      {"out", 0, count > 0 ? out : x}, {"t0", 1, &t0},
                                      {"shift", 1, &shift});
     if (status) return status;
-    if (rows_count == 0) return dal__fail(error, DAL_EINVAL, "rows = 0: expected a row");
+    if (rows_count == 0) return dal__fail(error, DAL_EINVAL, "rows = 0: expected at least one row");
     status = dal__require_step(error, h);
     if (!status) status = check_times(chart, &r, count, t);
     if (status) return status;

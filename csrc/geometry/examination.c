@@ -269,8 +269,8 @@ static void judge(examination *ex, const output *d)
     if (worst->unjudged && !ex->unjudged) ex->unjudged = d->name;
     if (!worst->wrong) return;
     const dal__entry entry = {NULL, d->name, worst->row, worst->column, worst->given};
-    dal__fail_entry(open_finding(ex), DAL_EINVAL, &entry, " is given as %.10g, but differences of "
-                    "%s in %s are %.10g (error %.1e)", worst->given,
+    dal__fail_entry(open_finding(ex), DAL_EINVAL, &entry, " is given as %.10g, but finite "
+                    "differences of %s in %s give %.10g (error %.1e)", worst->given,
                     is_product ? "phi_v v" : outputs[d->of].name, by[d->moves], worst->expected,
                     worst->error);
 }
@@ -340,8 +340,8 @@ static int examine_sparsity(examination *ex)
         if (status && !(def->kind == DAL_NONLINEAR && passed_over(k, status))) return status;
     }
     if (worst->wrong)
-        dal__fail(open_finding(ex), DAL_EINVAL, "sparsity: entry (%zu, %zu) is left out, but "
-                  "differences of %s in q are %.10g", worst->row, worst->column,
+        dal__fail(open_finding(ex), DAL_EINVAL, "sparsity: entry (%zu, %zu) is missing, but finite "
+                  "differences of %s in q give %.10g", worst->row, worst->column,
                   def->kind == DAL_LINEAR ? "phi_v v" : "phi", worst->expected);
     else *worst = (dal_difference){0}; /* nothing was given */
     return DAL_SUCCESS;
@@ -377,9 +377,9 @@ static int examine_time(examination *ex)
                 which = outputs[told[i]].callback == CONSTRAINT ? "constraint"
                       : ex->system->mass ? "potential" : "lagrangian";
         if (which)
-            dal__fail(open_finding(ex), DAL_EINVAL, "%s gives other numbers at t = %g than at t = "
-                      "%g: a system that depends on time has to be declared time_dependent",
-                      which, ex->time + after, ex->time);
+            dal__fail(open_finding(ex), DAL_EINVAL, "%s returns different numbers at t = %g and t "
+                      "= %g: declare the system time_dependent", which, ex->time + after,
+                      ex->time);
     }
     return DAL_SUCCESS;
 }
@@ -410,7 +410,8 @@ static int compare_forms(examination *ex)
         const dal__entry entry = {NULL, "phi_v", k / n, k % n, mu[k]};
         if (!nonlinear && change > sum_tolerance * fabs(mu[k]))
             dal__fail_entry(open_finding(ex), DAL_EINVAL, &entry, " is %.10g at v and %.10g at "
-                            "another velocity: mu must not depend on v", mu[k], ex->forms[k]);
+                            "another velocity: mu must not depend on v unless the constraints are "
+                            "declared nonlinear", mu[k], ex->forms[k]);
         ex->found.linearity = fmax(ex->found.linearity, change);
     }
     return DAL_SUCCESS;
@@ -435,13 +436,13 @@ static int examine_linear(examination *ex)
                                               ex->forms, NULL, NULL);
     if (returned)
         return dal__fail(&ex->mech.error, dal__callback_status(returned), "constraint returned %d "
-                         "when phi was asked for", returned);
+                         "when called for phi", returned);
     for (size_t a = 0; a < ex->m; a++) {
         double sum, scale;
         weigh(ex, a, ex->other, &sum, &scale);
         if (isfinite(ex->phi[a]) && fabs(ex->phi[a] - sum) > sum_tolerance * scale)
             dal__fail(open_finding(ex), DAL_EINVAL, "phi[%zu] is given as %.10g, but phi_v v is "
-                      "%.10g: linear constraints have phi = mu v", a, ex->phi[a], sum);
+                      "%.10g: expected phi = mu v for linear constraints", a, ex->phi[a], sum);
     }
     return DAL_SUCCESS;
 }
@@ -460,8 +461,8 @@ static int examine_affine(examination *ex)
         there = ex->value[a] - there;
         if (fabs(there - here) > sum_tolerance * scale)
             dal__fail(open_finding(ex), DAL_EINVAL, "phi[%zu] - (phi_v v)[%zu] is %.10g at v and "
-                      "%.10g at another velocity: what is not linear in v must not depend on v", a,
-                      a, here, there);
+                      "%.10g at another velocity: the affine term must not depend on v", a, a, here,
+                      there);
     }
     return status;
 }
@@ -603,7 +604,7 @@ static int examine_rank(examination *ex)
                   "velocity" : "mu has rank %zu instead of %zu", found->rank, ex->m);
         name_dependent(ex, finding);
         if (finding && nonlinear)
-            dal__add_words(finding, "; a constraint that is quadratic in v, for one, has no D at "
+            dal__add_words(finding, "; a constraint quadratic in v, for example, has phi_v = 0 at "
                            "rest");
         return DAL_SUCCESS;
     }
@@ -611,7 +612,7 @@ static int examine_rank(examination *ex)
     found->kernel_min = kernel_min(ex);
     if (!(found->mass_min > 0.0 && found->kernel_min > 0.0))
         dal__fail(open_finding(ex), DAL_EINVAL, "M is not positive definite on ker mu: its "
-                  "smallest eigenvalue is %g", found->kernel_min);
+                  "smallest eigenvalue there is %g", found->kernel_min);
     const int status = dal_multipliers(mech, ex->t, ex->x, mech->lambda);
     if (status != DAL_ESINGULAR) return status;
     dal_error *const finding = open_finding(ex);
@@ -715,10 +716,9 @@ static int examine_constraint(examination *ex)
     if (!status && linear && !ex->system->def.driven && found->rank == ex->m)
         status = examine_involutivity(ex);
     if (!status && !consistent)
-        dal__fail(open_finding(ex), DAL_EINVAL, "(q, v) is not in D%s: the residual is %.3g, more "
-                  "than roundoff and %g of the terms of %s",
-                  ex->system->def.driven ? " with inputs 0" : "", found->residual, DAL_CONSISTENT,
-                  linear ? "mu v" : "phi");
+        dal__fail(open_finding(ex), DAL_EINVAL, "(q, v) violates the constraint%s: relative "
+                  "residual %.3g, allowed %g", ex->system->def.driven ? " with inputs 0" : "",
+                  found->residual, DAL_CONSISTENT);
     return status;
 }
 
@@ -735,9 +735,9 @@ static void summarize(const examination *ex, dal_error *summary)
 {
     char agree[160], shape[128];
     const dal_check *const found = &ex->found;
-    snprintf(agree, sizeof agree, "the derivatives given agree with differences%s%s%s",
-             ex->unjudged ? " where these converge, which those for " : "",
-             ex->unjudged ? ex->unjudged : "", ex->unjudged ? " do not everywhere" : "");
+    snprintf(agree, sizeof agree, "the given derivatives agree with finite differences%s%s%s",
+             ex->unjudged ? " (not judged everywhere: " : "", ex->unjudged ? ex->unjudged : "",
+             ex->unjudged ? ")" : "");
     if (ex->m == 0) {
         dal__fail(summary, DAL_SUCCESS, "%s; no constraints", agree);
         return;
@@ -747,19 +747,20 @@ static void summarize(const examination *ex, dal_error *summary)
     else if (ex->system->def.kind != DAL_LINEAR)
         snprintf(shape, sizeof shape, "the constraints are %s in v%s",
                  ex->system->def.kind == DAL_AFFINE ? "affine" : "nonlinear", ex->n == ex->m
-                 ? " and as many as coordinates: they prescribe the velocity" : "");
+                 ? ", one for each coordinate: they prescribe the velocity" : "");
     else if (ex->n == ex->m)
-        snprintf(shape, sizeof shape, "D has dimension n - m = 0: the system is at rest");
+        snprintf(shape, sizeof shape, "D has dimension n - m = 0: the system cannot move");
     else if (ex->n - ex->m == 1)
         snprintf(shape, sizeof shape, "D has dimension n - m = 1, which is always integrable");
     else if (found->integrable)
-        snprintf(shape, sizeof shape, "D is integrable here and nearby: it may be a holonomic "
-                 "constraint in disguise");
+        snprintf(shape, sizeof shape, "D is integrable here and nearby: the constraints may be "
+                 "holonomic");
     else
-        snprintf(shape, sizeof shape, "D is not integrable, its curvature here is %.3g",
+        snprintf(shape, sizeof shape, "D is not integrable: its curvature here is %.3g",
                  found->curvature);
-    dal__fail(summary, DAL_SUCCESS, "%s; mu has rank %zu and condition %.3g; (q, v) lies in D to "
-              "%.1e; %s", agree, found->rank, found->condition, found->residual, shape);
+    dal__fail(summary, DAL_SUCCESS, "%s; mu has rank %zu and condition %.3g; (q, v) satisfies the "
+              "constraint to %.1e; %s", agree, found->rank, found->condition, found->residual,
+              shape);
     summary->output = "D";
     summary->end = strlen(summary->text);
     summary->begin = summary->end - strlen(shape);

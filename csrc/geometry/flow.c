@@ -263,7 +263,7 @@ static int require_interval(dal_flow *flow, double t0, double t1, const double *
 {
     dal_error *const error = error_of(flow);
     if (!isfinite(t0) || !isfinite(t1) || !isfinite(t1 - t0))
-        return dal__fail(error, DAL_EINVAL, "from t0 = %g to t1 = %g is not a finite interval", t0,
+        return dal__fail(error, DAL_EINVAL, "t0 = %g, t1 = %g: expected a finite interval", t0,
                          t1);
     return DAL__REQUIRE_FINITE(error, {"x", dimension(flow), x});
 }
@@ -339,7 +339,8 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
     if (!flow) return DAL_EINVAL;
     const size_t N = dimension(flow);
     int status = require_interval(flow, t0, t0 + (double)steps * h, x);
-    if (!status && h == 0.0) status = dal__fail(error_of(flow), DAL_EINVAL, "h = 0");
+    if (!status && h == 0.0) status = dal__fail(error_of(flow), DAL_EINVAL, "h = 0: expected a "
+                                                "step other than 0");
     if (status || steps == 0) return status;
     bool in_D;
     status = starts_in_D(flow, t0, x, &in_D);

@@ -152,7 +152,7 @@ static inline double dal__rank_lost(const dal_mechanics *mech)
     return 4.0 * (double)(mech->m * mech->m) / DAL_LU_CONDITION;
 }
 /* The same of the mu of a step that is not found; and what is said where there is none. */
-#define DAL__RANK_OR_H ": the constraints lose rank, or h is too large here"
+#define DAL__RANK_OR_H ": the constraints lose rank here, or h is too large"
 bool dal__name_rank_lost(dal_mechanics *mech, const double *mu);
 /* Adds to the text which rows of muk and of the forms, the mu of one step, point to opposite sides:
  * they vanish on the way, or h is too large. */

@@ -105,10 +105,10 @@ static int factor_metric(dal_mechanics *mech, double t, const double *q, const d
         const double value = metric->M[row * n + row];
         const dal__entry entry = {NULL, "L_vv", row, row, value};
         return dal__fail_entry(&mech->error, DAL_ESINGULAR, &entry, " = %g: L_vv is not positive "
-                               "definite to working precision, pivot %zu of its Cholesky factor "
-                               "is %g; if a constraint mu v = 0 fixes what has no mass, add "
-                               "c (mu v)^2/2 to L, as c (p . p')^2/2 for a quaternion p", value,
-                               row, pivot);
+                               "definite to working precision (pivot %zu of its Cholesky factor is "
+                               "%g). If a constraint mu v = 0 fixes the directions without mass, "
+                               "add c (mu v)^2/2 to L; for a quaternion p this is c (p . p')^2/2",
+                               value, row, pivot);
     }
     for (size_t i = 0; i < n; i++) {
         metric->unit[i] = sqrt(metric->unit[i]);
@@ -430,13 +430,13 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
         last = without;
         if (!along_Z) dal__form_Z(mech, at->mu);
         if (pass > MOST) {
-            dal__fail(&mech->error, DAL_ESINGULAR, "the residual of D stays at %.3g, and %.3g is "
-                      "allowed", *relative, bound);
+            dal__fail(&mech->error, DAL_ESINGULAR, "the relative residual of the constraint stays "
+                      "at %.3g, allowed is %.3g", *relative, bound);
             if (!dal__name_dependent(mech, at->mu, mech->gram.Z, DAL_RANK_ALMOST_LOST,
                                      &mech->error))
                 dal__add_words(&mech->error, ": mu M^-1 mu^T is singular to working precision, or "
-                               "phi is a sum of terms that cancel (write (y - 100)^2, and not y^2 "
-                               "- 200 y + 10000)");
+                               "terms of phi cancel (write (y - 100)^2 instead of y^2 - 200 y + "
+                               "10000)");
             return DAL_ESINGULAR;
         }
         status = factor_product(mech);
@@ -733,8 +733,8 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
                                  .measured = n, .n = n, .per_unit = per_unit, .z = v,
                                  .step = mech->step, .base = dal_residual_extent(n, per_unit, v),
                                  .advice = shift == 0.0
-                                     ? "there may be no such velocity of D here"
-                                     : "there may be no such velocity of D_eps here"};
+                                     ? "the constraint may have no solution v here"
+                                     : "the constraint of D_eps may have no solution v here"};
         status = dal__newton_run(&equations, &mech->error);
     }
     if (status || shift != 0.0) return status;
@@ -812,13 +812,15 @@ int dal_consistent(dal_mechanics *mech, double t, const unsigned char *keep, dou
     const size_t n = mech->n, free_count = form_free_Z(mech, keep);
     status = move_velocity(mech, t, 0.0, x, distance);
     if (status == DAL_ESINGULAR) {
-        dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu restricted to "
-                  "the other %zu has rank below m = %zu", n - free_count, n, free_count, mech->m);
+        dal__fail(&mech->error, DAL_ESINGULAR, "keep fixes %zu of %zu velocities: mu restricted to "
+                  "the other %zu has rank below m = %zu; fix fewer", n - free_count, n, free_count,
+                  mech->m);
         dal__name_dependent(mech, mech->forms.mu, mech->gram.Z, DAL_RANK_ALMOST_LOST, &mech->error);
     }
     if (status == DAL_ENOCONV && free_count < n)
-        return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of D was found with %zu of %zu "
-                         "components kept: there may be none", n - free_count, n);
+        return dal__fail(&mech->error, DAL_ENOCONV, "found no velocity that satisfies the "
+                         "constraint with %zu of %zu components fixed by keep: there may be none",
+                         n - free_count, n);
     return status;
 }
 

@@ -39,7 +39,7 @@ int dal__allocate(arena *a, dal_error *error)
     const size_t bytes = a->size + ALIGNMENT;
     a->block = malloc(bytes);
     if (!a->block)
-        return dal__fail(error, DAL_ENOMEM, "out of memory: %zu bytes were asked for", bytes);
+        return dal__fail(error, DAL_ENOMEM, "out of memory: could not allocate %zu bytes", bytes);
     memset(a->block, 0, bytes);
     const size_t misfit = (uintptr_t)a->block % ALIGNMENT;
     char *base = (char *)a->block + (misfit ? ALIGNMENT - misfit : 0);

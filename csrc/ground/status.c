@@ -164,6 +164,6 @@ int dal__ask(dal__watch *watch, double far, dal_error *error)
     watch->asked = now;
     const int returned = watch->function(far, watch->ctx);
     if (returned == 0) return DAL_SUCCESS;
-    return dal__fail(error, returned > 0 ? DAL_STOPPED : DAL_EUSER, "the watch returned %d",
-                     returned);
+    return dal__fail(error, returned > 0 ? DAL_STOPPED : DAL_EUSER,
+                     "the watch function returned %d", returned);
 }

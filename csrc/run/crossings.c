@@ -29,7 +29,7 @@ int dal__probe(dal_events *e, double t, double length, double *x)
     if (!status) status = dal_step(probe, NULL);
     if (!status) memcpy(x, probe->motion.x, 2 * e->n * sizeof *x);
     e->lost = probe->motion.stats->unscaled;
-    return dal__fail_because(e->error, status, &probe->error, "looking into step %zu (t = %g): ",
+    return dal__fail_because(e->error, status, &probe->error, "a state within step %zu (t = %g): ",
                              e->step + 1, e->t);
 }
 
@@ -50,7 +50,8 @@ int dal__event_value(dal_events *e, size_t event, double t, const double *x, dou
         return dal__fail(e->error, dal__callback_status(returned), "event %zu returned %d at t = "
                          "%g", event, returned, t);
     if (!isfinite(*g))
-        return dal__fail(e->error, DAL_EDOMAIN, "event %zu is %g at t = %g", event, *g, t);
+        return dal__fail(e->error, DAL_EDOMAIN, "event %zu: g = %g at t = %g is not finite", event,
+                         *g, t);
     e->guards[event].size = fmax(e->guards[event].size, fabs(*g));
     return DAL_SUCCESS;
 }
@@ -114,9 +115,9 @@ static int find_zero(search *s, double *theta)
     *theta = s->high;
     if (s->at_high == 0.0) return DAL_SUCCESS;
     if (dal__sign(s->at_low) == dal__sign(s->at_high))
-        return dal__fail(s->events->error, DAL_EINVAL, "event %zu is %g at t = %g and had another "
-                         "sign when it was asked before: it may depend on the state and the time "
-                         "alone", s->event, s->at_low, dal__time_at(s->events, s->low));
+        return dal__fail(s->events->error, DAL_EINVAL, "event %zu: g = %g at t = %g had the "
+                         "opposite sign in an earlier call: it must depend only on the state and "
+                         "the time", s->event, s->at_low, dal__time_at(s->events, s->low));
     s->last = s->at_low;
     gsl_root_fsolver_set(solver, &function, s->low, s->high);
     for (int k = 0; k < ITERATIONS && !s->status; k++) {
@@ -217,9 +218,10 @@ int dal__event_rests(dal_events *e, size_t event, const char *what, double value
 {
     char words[64];
     snprintf(words, sizeof words, what, value);
-    return dal__fail(e->error, DAL_EZENO, "event %zu, t = %g: after its reset g stays at zero %s: "
-                     "the system rests there; end the run before with a terminal event", event,
-                     dal__time_at(e, e->from), words);
+    return dal__fail(e->error, DAL_EZENO, "event %zu, t = %g: the event repeats without end, "
+                     "because g stays at zero after the reset (%s). End the run earlier with a "
+                     "terminal event, for example on the speed", event, dal__time_at(e, e->from),
+                     words);
 }
 
 /* A guard that was reset: it has not been seen on its side, where the reset sends it. */
@@ -235,7 +237,7 @@ static int find_after_reset(dal_events *e, size_t event, size_t *found)
         if (g->side * at > 0.0)
             return locate(e, event, e->from + part, at, 1.0, g->end, -g->side, found);
     }
-    return dal__event_rests(e, event, "until it is %g", g->end);
+    return dal__event_rests(e, event, "later g = %g", g->end);
 }
 
 int dal__find_crossings(dal_events *e, size_t *found)

@@ -48,27 +48,27 @@ static int check_members(const dal_system *system, const dal_members *members, s
                               {"members.events", members->events || members->event_count == 0});
     if (status) return status;
     if (first > members->count || count > members->count - first)
-        return dal__fail(error, DAL_EINVAL, "first = %zu and count = %zu: there are %zu members",
-                         first, count, members->count);
+        return dal__fail(error, DAL_EINVAL, "first = %zu, count = %zu: expected a range within the "
+                         "%zu members", first, count, members->count);
     if (members->parameters && dal_system_parameter_size(system) == 0)
-        return dal__fail(error, DAL_EINVAL, "members.parameters is not NULL, and the system has "
-                         "none that could be changed");
+        return dal__fail(error, DAL_EINVAL, "members.parameters is not NULL, but the system has no "
+                         "parameters that can be changed; pass NULL");
     if ((members->inputs || members->control) && system->def.inputs == 0)
-        return dal__fail(error, DAL_EINVAL, "members.%s is not NULL, but the system has no inputs",
-                         members->inputs ? "inputs" : "control");
+        return dal__fail(error, DAL_EINVAL, "members.%s is not NULL, but the system has no inputs; "
+                         "pass NULL", members->inputs ? "inputs" : "control");
     if (members->inputs && members->control)
-        return dal__fail(error, DAL_EINVAL, "members.inputs and members.control are not NULL: "
+        return dal__fail(error, DAL_EINVAL, "members.inputs and members.control are both given: "
                          "expected one of them");
     if (!members->x && !system->def.state)
-        return dal__fail(error, DAL_EINVAL, "members.x is NULL, and the system has no initial data "
-                         "by default");
+        return dal__fail(error, DAL_EINVAL, "members.x is NULL, but the system has no default "
+                         "initial data");
     if (members->stride > 0 && members->steps_next > 0)
         return dal__fail(error, DAL_EINVAL, "members.steps_next = %zu with stride = %zu: expected "
                          "the same number of steps for all, or stride = 0", members->steps_next,
                          members->stride);
     if (members->stride > 0 && *members->steps % members->stride > 0)
-        return dal__fail(error, DAL_EINVAL, "members.steps = %zu is not a multiple of stride = %zu",
-                         *members->steps, members->stride);
+        return dal__fail(error, DAL_EINVAL, "members.steps = %zu: expected a multiple of stride = "
+                         "%zu", *members->steps, members->stride);
     return DAL_SUCCESS;
 }
 
@@ -195,8 +195,7 @@ static int first_inputs(worker *self)
     if (!members->control || !x) return DAL_SUCCESS;
     const int returned = dal_law_control(0, members->t0, x, self->inputs, &self->control);
     if (returned)
-        return dal__fail(&stepper->error, DAL_EUSER, "the control returned %d at the start",
-                         returned);
+        return dal__fail(&stepper->error, DAL_EUSER, "control returned %d at the start", returned);
     return dal_stepper_input(stepper, self->inputs);
 }
 
@@ -498,8 +497,9 @@ static int hire(worker *self, const dal_system *system, const dal_scheme *scheme
     }
     if (!status && members->control) self->control = law_of(self, members->control);
     if (!status && options && (options->tolerance != 0.0 || options->eps != 0.0))
-        status = dal__fail(error, DAL_EUNSUPPORTED, "options.%s = %g: the members of an ensemble "
-                           "make steps of h", options->eps != 0.0 ? "eps" : "tolerance",
+        status = dal__fail(error, DAL_EUNSUPPORTED, "options.%s = %g: expected 0, because the "
+                           "members of an ensemble take steps of fixed size h",
+                           options->eps != 0.0 ? "eps" : "tolerance",
                            options->eps != 0.0 ? options->eps : options->tolerance);
     if (!status) status = dal_stepper_new(&self->stepper, self->system, scheme, options, error);
     if (!status && (members->energy || members->residual || members->multipliers))

@@ -63,10 +63,11 @@ int dal_events_new(dal_events **events, const dal_stepper *stepper, const dal_sc
     if (status) return status;
     const dal_system *const system = stepper->motion.system;
     if (dal__scheme_identify(system, scheme) != stepper->identity)
-        return dal__fail(error, DAL_EINVAL, "scheme is not that of the stepper");
+        return dal__fail(error, DAL_EINVAL, "scheme: expected the scheme of the stepper");
     if (dal_stepper_saved(stepper) == 0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "the steps of \"%s\" cannot be resumed, and so "
-                         "cannot be looked into", scheme->name);
+        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support events, because "
+                         "its steps cannot be saved and repeated; choose another scheme",
+                         scheme->name);
     dal_events *self;
     status = allocate(&self, stepper, count, error);
     if (status) return status;
@@ -142,11 +143,11 @@ int dal_events_restore(dal_events *events, const double *values, size_t count, d
     int status = DAL__REQUIRE(error, {"events", events}, {"values", values || count == 0});
     if (status) return status;
     if (count != dal_events_saved(events))
-        return dal__fail(error, DAL_EINVAL, "count = %zu: %zu events have %zu numbers", count,
-                         events->count, dal_events_saved(events));
+        return dal__fail(error, DAL_EINVAL, "count = %zu: expected %zu numbers for %zu events",
+                         count, dal_events_saved(events), events->count);
     for (size_t i = 0; i < events->count; i++)
         if (!is_of_a_guard(values + SAVED * i))
-            return dal__fail(error, DAL_EINVAL, "values[%zu] and what follows is not of an event",
+            return dal__fail(error, DAL_EINVAL, "values[%zu]: not the saved state of an event",
                              SAVED * i);
     events->known = events->stepper->started;
     events->valued = false;
@@ -263,7 +264,7 @@ static int leave(dal_events *e, size_t event, double at, double rate)
     const int status = dal__event_rate(e, event, e->from, e->begin, g->begin, 1.0, &after);
     if (status) return status;
     if (fabs(after) <= AT_REST * fabs(rate))
-        return dal__event_rests(e, event, "with a rate of %g", after / e->h);
+        return dal__event_rests(e, event, "rate of g: %g", after / e->h);
     g->side = dal__sign(after);
     return DAL_SUCCESS;
 }
@@ -350,10 +351,10 @@ static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, 
     g->crossed = true;
     if (direction != 0 && direction != c->to) return DAL_SUCCESS;
     if (e->happenings == DAL_MOST_EVENTS)
-        return dal__fail(e->error, DAL_EZENO, "event %zu, t = %g: %d events within a step of h = "
-                         "%g: they accumulate; end the run before that with a terminal event, or "
-                         "take a smaller h", c->event, dal__time_at(e, c->theta),
-                         (int)DAL_MOST_EVENTS, e->h);
+        return dal__fail(e->error, DAL_EZENO, "event %zu, t = %g: %d events in one step of h = %g. "
+                         "End the run before they accumulate with a terminal event, or take a "
+                         "smaller h", c->event, dal__time_at(e, c->theta), (int)DAL_MOST_EVENTS,
+                         e->h);
     happening *const now = &e->happened[e->happenings++];
     const int status = enter(e, run, c, now);
     *anew |= now->reset;
@@ -419,8 +420,9 @@ static int prepare(dal_events *e, dal_run *run)
         double now;
         status = dal__event_value(e, i, e->t, e->begin, &now);
         if (!status && same && fabs(now - g->begin) > SAME * g->size)
-            status = dal__fail(e->error, DAL_EINVAL, "event %zu is %g at t = %g, and was %g when "
-                               "it was saved: it is another one", i, now, e->t, g->begin);
+            status = dal__fail(e->error, DAL_EINVAL, "event %zu: g = %g at t = %g, but it was %g "
+                               "when saved; pass the events of the saved run", i, now, e->t,
+                               g->begin);
         if (status || same) continue; /* the value that was saved has the bits of that run */
         *g = (guard){.side = dal__sign(now), .size = fabs(now), .begin = now};
     }
@@ -554,11 +556,12 @@ int dal__events_check(const dal_run *run)
     dal_error *const error = &run->stepper->error;
     const dal_motion *const motion = &run->stepper->motion;
     if (!run->events && (run->times || run->happened))
-        return dal__fail(error, DAL_EINVAL, "%s is not NULL, and events is",
-                         run->times ? "times" : "happened");
+        return dal__fail(error, DAL_EINVAL, "%s is not NULL, but events is NULL; create it with "
+                         "dal_events_new", run->times ? "times" : "happened");
     if (!run->events) return DAL_SUCCESS;
     if (run->events->stepper != run->stepper)
-        return dal__fail(error, DAL_EINVAL, "events is not of the stepper of the run");
+        return dal__fail(error, DAL_EINVAL, "events belongs to another stepper: expected the "
+                         "stepper of the run");
     if (run->time_count == 0 || run->done > 0) return DAL_SUCCESS;
     if (!run->times || !run->at)
         return dal__fail(error, DAL_EINVAL, "%s is NULL", run->times ? "at" : "times");
@@ -571,7 +574,7 @@ int dal__events_check(const dal_run *run)
         const double last = end + ahead * 4.0 * DAL_ROUNDOFF * fabs(end);
         if (!(ahead * (t - before) >= 0.0 && ahead * (last - t) >= 0.0))
             return dal__fail(error, DAL_EINVAL, "times[%zu] = %.17g: expected times from %.17g to "
-                             "%.17g, one after the other", k, t, begin, end);
+                             "%.17g, in this order", k, t, begin, end);
         before = t;
     }
     return DAL_SUCCESS;

@@ -209,7 +209,8 @@ static int check_new(const dal_run *run, const dal_scheme *scheme,
 {
     if (!run->stepper) return dal__fail(error, DAL_EINVAL, "run->stepper is NULL");
     if (run->done > 0 || run->stored > 0 || run->journal)
-        return dal__fail(error, DAL_EINVAL, "the run has begun, or has a journal");
+        return dal__fail(error, DAL_EINVAL, "the run has already begun, or has a journal: expected "
+                         "a new run");
     if (options && options->description_size > 0 && !options->description)
         return dal__fail(error, DAL_EINVAL, "options->description is NULL");
     if (dal__run_check(run)) {
@@ -217,10 +218,11 @@ static int check_new(const dal_run *run, const dal_scheme *scheme,
         return run->stepper->error.status;
     }
     if (dal__scheme_identify(run->stepper->motion.system, scheme) != run->stepper->identity)
-        return dal__fail(error, DAL_EINVAL, "scheme is not that of the stepper");
+        return dal__fail(error, DAL_EINVAL, "scheme: expected the scheme of the stepper");
     if (dal_stepper_saved(run->stepper) == 0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "the steps of \"%s\" cannot be resumed: there is "
-                         "no journal of them", scheme->name);
+        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support a journal, "
+                         "because its steps cannot be resumed; choose another scheme",
+                         scheme->name);
     return DAL_SUCCESS;
 }
 
@@ -313,8 +315,8 @@ int dal_journal_read(dal_journal *journal, size_t index, dal_record *record, dal
     int status = DAL__REQUIRE(error, {"journal", journal}, {"record", record});
     if (status) return status;
     if (index >= journal->records)
-        return dal__fail(error, DAL_EINVAL, "index = %zu: there are %zu records", index,
-                         journal->records);
+        return dal__fail(error, DAL_EINVAL, "index = %zu: expected an index below %zu, the number "
+                         "of records", index, journal->records);
     status = dal__journal_flush(journal);
     if (!status) status = read_record(journal, index, record);
     if (status && error) *error = journal->error;
@@ -343,24 +345,24 @@ static int compare(dal_journal *self, const dal_run *run, dal_error *error)
         {"n", here->n, there->n}, {"m", here->m, there->m}, {"stride", here->stride, there->stride},
         {"hold", here->hold, there->hold}, {"the number of inputs", here->inputs, there->inputs},
         {"the number of events", here->events, there->events},
-        {"whether there are rows", here->has_rows, there->has_rows},
-        {"whether there are times", here->has_times, there->has_times},
+        {"the storage of rows (0 or 1)", here->has_rows, there->has_rows},
+        {"the use of times (0 or 1)", here->has_times, there->has_times},
         {"the size of a snapshot", here->snapshot, there->snapshot}};
     for (size_t i = 0; i < DAL_LENGTH(numbers); i++)
         if (numbers[i].here != numbers[i].there)
-            return dal__fail(error, DAL_EINVAL, "%s: %s is %llu there, and %llu in the run",
-                             self->path, numbers[i].name, (unsigned long long)numbers[i].here,
+            return dal__fail(error, DAL_EINVAL, "%s: %s is %llu in the journal, but %llu in the "
+                             "run", self->path, numbers[i].name, (unsigned long long)numbers[i].here,
                              (unsigned long long)numbers[i].there);
     if (here->held != there->held)
-        return dal__fail(error, DAL_EINVAL, "%s: held is %.17g there, and %.17g in the run",
-                         self->path, here->held, there->held);
+        return dal__fail(error, DAL_EINVAL, "%s: held is %.17g in the journal, but %.17g in the "
+                         "run", self->path, here->held, there->held);
     size_t steps;
     const int status = last_row(self, &steps, error);
     if (status) return status;
     if (steps < self->mark.done) steps = (size_t)self->mark.done;
     if (run->steps / run->stride + 1 < self->mark.stored || run->steps < steps)
-        return dal__fail(error, DAL_EINVAL, "%s: has %zu steps of the run, and steps = %zu",
-                         self->path, steps, run->steps);
+        return dal__fail(error, DAL_EINVAL, "%s: contains %zu steps, but the run has only steps = "
+                         "%zu", self->path, steps, run->steps);
     return DAL_SUCCESS;
 }
 
@@ -374,9 +376,9 @@ static int give_inputs(const dal_journal *self, const dal_run *run, size_t first
     if (run->control) memcpy(to, from, count * width * sizeof *to);
     for (size_t k = 0; k < count * width; k++)
         if (to[k] != from[k])
-            return dal__fail(error, DAL_EINVAL, "%s: inputs[%zu] of row %zu is %.17g there, and "
-                             "%.17g in the run", self->path, k % width, first + k / width, from[k],
-                             to[k]);
+            return dal__fail(error, DAL_EINVAL, "%s: inputs[%zu] of row %zu is %.17g in the "
+                             "journal, but %.17g in the run", self->path, k % width,
+                             first + k / width, from[k], to[k]);
     return DAL_SUCCESS;
 }
 
@@ -399,7 +401,7 @@ static int give_row(const dal_journal *self, dal_run *run, const dal_record *r, 
     }
     if (!self->head.has_rows) return DAL_SUCCESS;
     if (r->number != run->stored || run->stored == self->mark.stored)
-        return dal__fail(error, DAL_EIO, "%s: row %zu stands where row %zu should", self->path,
+        return dal__fail(error, DAL_EIO, "%s: damaged, row %zu in place of row %zu", self->path,
                          r->number, run->stored);
     if (run->x) memcpy(run->x + r->number * N, r->x, N * sizeof *r->x);
     if (run->row_times) run->row_times[r->number] = r->t;
@@ -430,8 +432,8 @@ static int give(dal_journal *self, dal_run *run, dal_error *error)
         case DAL_RECORD_END: status = give_row(self, run, &r, error); break;
         case DAL_RECORD_TIME:
             if (r.number >= run->time_count || r.t != run->times[r.number])
-                return dal__fail(error, DAL_EINVAL, "%s: times[%zu] is %.17g there, and another in "
-                                 "the run", self->path, r.number, r.t);
+                return dal__fail(error, DAL_EINVAL, "%s: times[%zu] is %.17g in the journal, but "
+                                 "different in the run", self->path, r.number, r.t);
             memcpy(run->at + r.number * N, r.x, N * sizeof *r.x);
             break;
         case DAL_RECORD_RESET: memcpy(event, r.x, N * sizeof *event); break;
@@ -492,9 +494,11 @@ int dal_journal_resume(dal_journal *journal, dal_run *run, dal_error *error)
                      {"run->stepper", run && run->stepper});
     if (status) return status;
     if (!journal->writes)
-        return dal__fail(error, DAL_EINVAL, "the journal is open to be read");
+        return dal__fail(error, DAL_EINVAL, "the journal is open for reading only; open it with "
+                         "writes = 1 to resume the run");
     if (run->journal || run->done > 0 || run->stored > 0)
-        return dal__fail(error, DAL_EINVAL, "the run has begun, or has a journal");
+        return dal__fail(error, DAL_EINVAL, "the run has already begun, or has a journal: expected "
+                         "a new run");
     status = dal__journal_recall(journal);
     if (status && error) *error = journal->error;
     if (!status) status = compare(journal, run, error);

@@ -207,8 +207,8 @@ int dal__journal_recall(dal_journal *self)
         memcpy(self->snapshot, self->slot + sizeof mark, doubles((size_t)self->head.snapshot));
     }
     if (any) return DAL_SUCCESS;
-    return dal__fail(&self->error, DAL_EUNSUPPORTED, "%s: no snapshot in it is whole, so that it "
-                     "cannot be gone on with", self->path);
+    return dal__fail(&self->error, DAL_EUNSUPPORTED, "%s: no snapshot is complete, so the run "
+                     "cannot be resumed", self->path);
 }
 
 /* ---- opening ------------------------------------------------------------------------------- */
@@ -231,9 +231,9 @@ static int publish(dal_journal *self, const char *hidden, dal_error *error)
 {
     int status = link(hidden, self->path);
     if (status && errno != EEXIST && access(self->path, F_OK) != 0)
-        return rename(hidden, self->path) ? fail_io(error, self->path, "naming it") : DAL_SUCCESS;
+        return rename(hidden, self->path) ? fail_io(error, self->path, "renaming") : DAL_SUCCESS;
     if (status)
-        status = dal__fail(error, DAL_EINVAL, "%s: there is a file of this name; go on with it, or "
+        status = dal__fail(error, DAL_EINVAL, "%s: the file exists already; resume its run, or "
                            "remove it", self->path);
     unlink(hidden);
     return status;
@@ -267,7 +267,8 @@ int dal__journal_create(dal_journal *self, dal_error *error)
 {
     char *const hidden = (char *)self->block; /* no shorter than a path that can be opened */
     if (strlen(self->path) + 40 > self->capacity * self->size)
-        return dal__fail(error, DAL_EINVAL, "path has %zu characters", strlen(self->path));
+        return dal__fail(error, DAL_EINVAL, "path has %zu characters, which is too long",
+                         strlen(self->path));
     memcpy(self->head.magic, MAGIC, sizeof MAGIC);
     self->head.order = BYTE_ORDER_MARK;
     self->head.version = VERSION;
@@ -276,7 +277,7 @@ int dal__journal_create(dal_journal *self, dal_error *error)
     self->saved_at = self->head.made;
     sprintf(hidden, "%s.%ld.new", self->path, (long)getpid());
     self->file = open(hidden, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
-    if (self->file < 0) return fail_io(error, self->path, "making it");
+    if (self->file < 0) return fail_io(error, self->path, "creating");
     int status = fill_new(self, error);
     if (status) unlink(hidden);
     else status = publish(self, hidden, error);
@@ -294,16 +295,17 @@ static int read_head(int file, const char *path, dal__head *head, size_t *length
     const int status = read_at(file, path, 0, head, sizeof *head, &found, error);
     if (status) return status;
     if (found < sizeof *head || memcmp(head->magic, MAGIC, sizeof MAGIC) != 0)
-        return dal__fail(error, DAL_EINVAL, "%s: is not the journal of a run", path);
+        return dal__fail(error, DAL_EINVAL, "%s: not the journal of a run", path);
     if (head->order != BYTE_ORDER_MARK)
-        return dal__fail(error, DAL_EINVAL, "%s: was written on a machine of another byte order, "
-                         "or its head is damaged", path);
+        return dal__fail(error, DAL_EINVAL, "%s: written on a machine with another byte order, or "
+                         "the header is damaged", path);
     if (head->version != VERSION)
-        return dal__fail(error, DAL_EINVAL, "%s: is of version %u of the format, here it is %d, or "
-                         "its head is damaged", path, (unsigned)head->version, VERSION);
+        return dal__fail(error, DAL_EINVAL, "%s: written in version %u of the format, expected "
+                         "version %d, or the header is damaged", path, (unsigned)head->version,
+                         VERSION);
     if (head->description_size > *length || head->n > *length || head->m > *length
         || head->snapshot > *length || head->holds > *length || head->inputs > *length)
-        return dal__fail(error, DAL_EINVAL, "%s: its head is damaged", path);
+        return dal__fail(error, DAL_EINVAL, "%s: the header is damaged", path);
     return DAL_SUCCESS;
 }
 
@@ -339,7 +341,7 @@ static int take_in(dal_journal *self, size_t length, dal_error *error)
                          described, &found, error);
     if (status) return status;
     if (found < described || of_head(self) != self->head.checksum)
-        return dal__fail(error, DAL_EINVAL, "%s: its head is damaged", self->path);
+        return dal__fail(error, DAL_EINVAL, "%s: the header is damaged", self->path);
     status = read_at(self->file, self->path, self->writer_at, self->writer, DAL__WRITER, &found,
                      error);
     if (!status) status = count_records(self, length, error);
@@ -387,7 +389,7 @@ int dal__journal_attach(dal_journal **journal, const char *path, bool writes, da
 int dal__journal_cut(dal_journal *self)
 {
     const off_t end = (off_t)(self->begin + self->records * self->size);
-    if (ftruncate(self->file, end)) return fail_io(&self->error, self->path, "cutting its end");
+    if (ftruncate(self->file, end)) return fail_io(&self->error, self->path, "truncating");
     return DAL_SUCCESS;
 }
 
@@ -405,8 +407,8 @@ const unsigned char *dal__journal_record(dal_journal *self, size_t index)
     }
     const unsigned char *const record = self->block + (index - self->read_at) * self->size;
     if (self->read_count > 0 && is_whole(self, index, record, self->size)) return record;
-    dal__fail(&self->error, DAL_EIO, "%s: record %zu has changed since it was opened", self->path,
-              index);
+    dal__fail(&self->error, DAL_EIO, "%s: record %zu has changed since the file was opened",
+              self->path, index);
     return NULL;
 }
 
@@ -424,7 +426,7 @@ static int look_for(dal_journal *self)
     struct stat here, there;
     if (fstat(self->file, &here) == 0 && stat(self->path, &there) == 0
         && here.st_dev == there.st_dev && here.st_ino == there.st_ino) return DAL_SUCCESS;
-    return dal__fail(&self->error, DAL_EIO, "%s: the file is no longer there", self->path);
+    return dal__fail(&self->error, DAL_EIO, "%s: the file was removed or replaced", self->path);
 }
 
 /* What a run is told when the file is no longer written. */
@@ -464,9 +466,9 @@ static int compare(dal_journal *self)
     if (memcmp(there, self->line, self->size) != 0) {
         dal__tag tag;
         memcpy(&tag, self->line, sizeof tag);
-        return dal__fail(&self->error, DAL_EINVAL, "%s: record %zu is not what the run makes now "
-                         "(kind %u, number %zu): the system, its events, its inputs or the machine "
-                         "are others than before", self->path, self->records, (unsigned)tag.kind,
+        return dal__fail(&self->error, DAL_EINVAL, "%s: record %zu (kind %u, number %zu) differs "
+                         "from the recomputed one: the system, its events, its inputs or the "
+                         "machine have changed", self->path, self->records, (unsigned)tag.kind,
                          (size_t)tag.number);
     }
     self->records++;

@@ -32,8 +32,8 @@ int dal__heed(const dal_run *run, const char *name, int returned)
 {
     if (returned > 0) return DAL_STOPPED;
     if (returned == 0) return DAL_SUCCESS;
-    return dal__fail(&run->stepper->error, DAL_EUSER, "the %s returned %d at step %zu", name,
-                     returned, run->stepper->motion.steps);
+    return dal__fail(&run->stepper->error, DAL_EUSER, "%s returned %d at step %zu", name, returned,
+                     run->stepper->motion.steps);
 }
 
 /* Stores the state now and tells the observer of it; DAL_STOPPED or DAL_EUSER if it wants no
@@ -138,8 +138,8 @@ static int check_varied(const dal_run *run)
         return dal__fail(error, DAL_EINVAL, "until = %g: expected a time from t = %g on, in the "
                          "direction of the steps", run->until, t);
     if (run->inputs && !(ahead * run->held > 0.0 && isfinite(run->held)))
-        return dal__fail(error, DAL_EINVAL, "held = %g: expected for how long a row of inputs is, "
-                         "in the direction of the steps", run->held);
+        return dal__fail(error, DAL_EINVAL, "held = %g: expected the time for which a row of "
+                         "inputs applies, with the sign of the steps", run->held);
     return DAL_SUCCESS;
 }
 
@@ -147,13 +147,14 @@ int dal__run_check(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;
     if (run->stride == 0 || (run->steps % run->stride > 0 && !dal__run_varies(run)))
-        return dal__fail(error, DAL_EINVAL, "steps = %zu is not a multiple of stride = %zu",
+        return dal__fail(error, DAL_EINVAL, "steps = %zu: expected a multiple of stride = %zu",
                          run->steps, run->stride);
     if (run->control && !run->inputs)
-        return dal__fail(error, DAL_EINVAL, "control is not NULL, and inputs is: there is nowhere "
-                         "for what it writes");
+        return dal__fail(error, DAL_EINVAL, "control is not NULL, but inputs is NULL: expected an "
+                         "array for the values of control");
     if (run->inputs && run->stepper->motion.system->def.inputs == 0)
-        return dal__fail(error, DAL_EINVAL, "inputs is not NULL, but the system has none");
+        return dal__fail(error, DAL_EINVAL, "inputs is not NULL, but the system has no inputs; "
+                         "pass NULL");
     int status = dal__stepper_started(run->stepper);
     if (!status && dal__run_varies(run)) status = check_varied(run);
     return status ? status : dal__events_check(run);

@@ -216,7 +216,8 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
                                   s->span * k->h, k->kept, x, at->kappa, &k->stats);
     }
     if (!status && !dal__all_finite(n, at->base)) /* but what the same callbacks give now is */
-        status = dal__fail(&mech->error, DAL_EDOMAIN, "a number is not finite; try a smaller h");
+        status = dal__fail(&mech->error, DAL_EDOMAIN, "the new state is not finite; try a smaller "
+                           "h");
     if (status) return dal_kernel_fail(k, status, DAL_FAILED_FINISH);
     memcpy(at->stored, x, size);
     memcpy(at->w, x + n, size);
@@ -324,10 +325,9 @@ static int check_compiled(const dal_system *system, dal_error *error)
     const dal_compiled *const compiled = system->def.compiled;
     if (!compiled) return DAL_SUCCESS;
     if (compiled->abi != DAL_COMPILED_ABI || compiled->size != sizeof(dal_kernel))
-        return dal__fail(error, DAL_EINVAL, "compiled: its number %u and its dal_kernel of %zu "
-                         "bytes are not those of this library, %u and %zu; compile it with the "
-                         "kernel.h of this library", compiled->abi, compiled->size,
-                         DAL_COMPILED_ABI, sizeof(dal_kernel));
+        return dal__fail(error, DAL_EINVAL, "compiled: number %u and a dal_kernel of %zu bytes, "
+                         "expected %u and %zu; compile it with the kernel.h of this library",
+                         compiled->abi, compiled->size, DAL_COMPILED_ABI, sizeof(dal_kernel));
     return dal__check_compiled(system, error);
 }
 
@@ -466,9 +466,9 @@ static void explain(const beta *self, dal_error *error, int status)
         dal__refuse(error, alone ? "potential" : e->refused, k->failure.returned);
         break;
     case DAL_FAILED_STEADY:
-        dal__fail(error, status, "the system is declared steady, but mu at the end of the step is "
-                  "not what it was before the reaction acted: a coordinate that mu depends on is "
-                  "pushed by a reaction");
+        dal__fail(error, status, "the system is declared steady, but a reaction changed mu within "
+                  "the step, because it pushes a coordinate that mu depends on; do not declare it "
+                  "steady");
         break;
     case DAL_FAILED_FINISH: /* who failed has said why */
         break;

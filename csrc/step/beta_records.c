@@ -153,7 +153,7 @@ int dal__beta_parse(dal_scheme *scheme, const char *name)
     const bool moved_midpoint = beta == 0.5 && !kept;
     *scheme = (dal_scheme){.beta = beta, .nodes = kept ? DAL_KEPT_NODES : DAL_MOVED_NODES,
                            .order = moved_midpoint ? 2 : 1, .symmetric = moved_midpoint,
-                           .help = "the beta-scheme of this number", .reference = paper};
+                           .help = "the beta-scheme with this beta", .reference = paper};
     return 1;
 }
 
@@ -162,22 +162,22 @@ int dal__beta_check(const dal_scheme *scheme, dal_error *error)
     const size_t count = dal__scheme_count(scheme);
     double sum = 0.0, size = 0.0;
     if (scheme->count > 0 && !scheme->substeps)
-        return dal__fail(error, DAL_EINVAL, "scheme.count = %zu and scheme.substeps is NULL",
+        return dal__fail(error, DAL_EINVAL, "scheme.count = %zu, but scheme.substeps is NULL",
                          scheme->count);
     if (scheme->nodes != DAL_MOVED_NODES && scheme->nodes != DAL_KEPT_NODES)
-        return dal__fail(error, DAL_EINVAL, "scheme.nodes = %d is neither DAL_MOVED_NODES nor "
+        return dal__fail(error, DAL_EINVAL, "scheme.nodes = %d: expected DAL_MOVED_NODES or "
                          "DAL_KEPT_NODES", (int)scheme->nodes);
     if (scheme->nodes == DAL_KEPT_NODES && count > 1)
-        return dal__fail(error, DAL_EINVAL, "scheme has %zu sub-steps: kept nodes need a single "
-                         "one", count);
+        return dal__fail(error, DAL_EINVAL, "scheme.count = %zu: expected a single sub-step with "
+                         "kept nodes", count);
     for (size_t j = 0; j < count; j++) {
         const dal_substep step = dal__scheme_substep(scheme, j);
         if (!(step.beta >= 0.0 && step.beta <= 1.0))
-            return dal__fail(error, DAL_EINVAL, "sub-step %zu: beta = %g is not in [0, 1]", j,
-                             step.beta);
+            return dal__fail(error, DAL_EINVAL, "sub-step %zu: beta = %g, expected a number in [0, "
+                             "1]", j, step.beta);
         if (!isfinite(step.fraction) || step.fraction == 0.0)
-            return dal__fail(error, DAL_EINVAL, "sub-step %zu: fraction = %g is zero or not finite",
-                             j, step.fraction);
+            return dal__fail(error, DAL_EINVAL, "sub-step %zu: fraction = %g, expected a finite "
+                             "number other than 0", j, step.fraction);
         sum += step.fraction;
         size += fabs(step.fraction);
     }

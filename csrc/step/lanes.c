@@ -63,8 +63,8 @@ int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error
     const size_t width = dal__lanes_width(system, &like->scheme);
     const dal_kernel *const k = dal__beta_kernel(like);
     if (width == 0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "the steps of \"%s\" are not made side by side",
-                         like->scheme.name);
+        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" has no vector routine for this "
+                         "system", like->scheme.name);
     const dal_lanes_routine *const routine = find_routine(system, 0);
     const size_t n = k->n, m = k->m, rows = m > 0 ? m : 1, parameters = routine->parameters;
     dal__lanes shape = {.system = system, .routine = routine, .n = n, .m = m, .width = width,

@@ -56,23 +56,22 @@ int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *err
     if (tolerance == 0.0 && h_max == 0.0) return DAL_SUCCESS;
     if (!(h_max >= 0.0))
         return dal__fail(error, DAL_EINVAL, "options.h_max = %g: expected a positive number, or 0 "
-                         "for none", h_max);
+                         "for no limit", h_max);
     if (self->scheme.nodes == DAL_KEPT_NODES)
-        return dal__fail(error, DAL_EUNSUPPORTED, "error-controlled steps of \"%s\": its D_eps "
-                         "depends on h, so that each step would leave that of the one before",
+        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support error-controlled "
+                         "steps, because its D_eps depends on h; choose a scheme with moved nodes",
                          self->scheme.name);
     double noise = 0.0;
     int q = 0, status = DAL_SUCCESS;
     if (family->estimates) status = family->estimates(self->method, &q, &noise, error);
     if (status) return status;
     if (q == 0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "error-controlled steps of \"%s\": it has no "
-                         "estimate of its error; compositions have one, as leapfrog-kl8",
-                         self->scheme.name);
+        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support error-controlled "
+                         "steps, because it has no error estimate; choose a composition, for "
+                         "example leapfrog-kl8", self->scheme.name);
     if (!(tolerance >= LEAST_TOLERANCE && tolerance <= MOST_TOLERANCE))
-        return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected from %g to %g; "
-                         "errors below that are roundoff", tolerance, LEAST_TOLERANCE,
-                         MOST_TOLERANCE);
+        return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected a number from %g "
+                         "(roundoff) to %g", tolerance, LEAST_TOLERANCE, MOST_TOLERANCE);
     pace->q = q;
     pace->order = self->scheme.order > q ? self->scheme.order : q;
     pace->noise = noise * ROUNDOFF * DAL_ROUNDOFF;
@@ -285,8 +284,8 @@ int dal__pace_step(dal_stepper *self)
         motion->first = motion->steps;
         if (dal__vary_is_final(status) || (hopeless && status)) return status;
         if (hopeless)
-            return dal__fail(motion->error, DAL_ENOCONV, "a step of h = %g has an estimated error "
-                             "of %g times what the tolerance %g allows", length, error,
+            return dal__fail(motion->error, DAL_ENOCONV, "no step is short enough: with h = %g the "
+                             "estimated error is %g times the tolerance %g", length, error,
                              pace->tolerance);
         motion->stats->rejected++;
     }

@@ -56,8 +56,8 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     int status = dal__scheme_check_plain(scheme, "pair", error);
     if (status) return status;
     if (!scheme->data && !read_name(scheme->name, &named))
-        return dal__fail(error, DAL_EINVAL, "scheme.data is NULL and scheme.name = \"%s\" is not "
-                         "pair:A:B with A and B in [0, 1]", scheme->name);
+        return dal__fail(error, DAL_EINVAL, "scheme.name = \"%s\": expected pair:A:B with A and B "
+                         "in [0, 1], or the two maps in scheme.data", scheme->name);
     const bool own = maps->lagrangian.map || maps->constraint.map;
     pair_steps shape = {.alpha = maps->lagrangian.beta, .beta = maps->constraint.beta}, *self;
     arena memory = {0};

@@ -64,9 +64,9 @@ int dal_scheme_eps(const dal_scheme *scheme, double *eps, dal_error *error)
     const size_t count = dal__scheme_count(scheme);
     if (!dal__scheme_family(scheme)->rescale || count < 3 || scheme->nodes != DAL_MOVED_NODES
         || !is_palindrome(scheme))
-        return dal__fail(error, DAL_EUNSUPPORTED, "reversible steps of \"%s\": they are those of "
-                         "symmetric compositions with moved nodes, as bm4, bm6, leapfrog-kl8; a "
-                         "pair of sub-steps costs less than to find its size", scheme->name);
+        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support reversible "
+                         "steps; choose a symmetric composition of at least three sub-steps with "
+                         "moved nodes, for example bm4, bm6 or leapfrog-kl8", scheme->name);
     double sum = 0.0;
     for (size_t j = 0; j < count; j++) sum += fabs(dal__scheme_substep(scheme, j).fraction);
     *eps = fmin(MOST_EPS, USUAL / sum);
@@ -79,7 +79,7 @@ static const char *untried(const dal_system *system)
     const dal_system_def *const def = &system->def;
     if (def->force) return "a force";
     if (def->driven) return "inputs in its constraints";
-    if (!dal__is_autonomous(system)) return "functions of the time";
+    if (!dal__is_autonomous(system)) return "an explicit dependence on time";
     if (!system->mass) return "a mass that depends on q, or terms of L that are linear "
                                  "in v";
     if (def->kind != DAL_LINEAR) return "constraints that are not linear";
@@ -96,23 +96,24 @@ int dal__reversible_make(dal_stepper *self, const dal_options *options, dal_erro
     if (status) return status;
     if (options->tolerance != 0.0 || options->h_max != 0.0)
         return dal__fail(error, DAL_EINVAL, "options.eps = %g with tolerance = %g and h_max = %g: "
-                         "these are of error-controlled steps; expected 0", options->eps,
+                         "expected 0 for both, which are for error-controlled steps", options->eps,
                          options->tolerance, options->h_max);
     if (!(options->eps > 0.0 && options->eps <= MOST_EPS))
         return dal__fail(error, DAL_EINVAL, "options.eps = %g: expected a positive number up to "
-                         "%g; that of \"%s\" is %.3g", options->eps, MOST_EPS, self->scheme.name,
-                         own);
+                         "%g; the default for \"%s\" is %.3g", options->eps, MOST_EPS,
+                         self->scheme.name, own);
     if (strange)
-        return dal__fail(error, DAL_EUNSUPPORTED, "reversible steps of the system \"%s\": it has "
-                         "%s", dal_system_name(self->motion.system), strange);
+        return dal__fail(error, DAL_EUNSUPPORTED, "system \"%s\" does not support reversible "
+                         "steps, because it has %s", dal_system_name(self->motion.system),
+                         strange);
     double noise = 0.0;
     int q = 0;
     const int seen = self->family->estimates(self->method, &q, &noise, error);
     if (seen) return seen;
     if (q == 0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "reversible steps of \"%s\": it has no estimate "
-                         "of its error; compositions of one map have one, as bm6",
-                         self->scheme.name);
+        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support reversible "
+                         "steps, because it has no error estimate; choose a composition of one "
+                         "map, for example bm6", self->scheme.name);
     DAL__RESERVE(&self->vary.arena, dal__times(2, n), &of->field, &of->away, &of->there, &of->jerk,
                  &of->estimate);
     of->eps = options->eps;
@@ -202,7 +203,7 @@ int dal__reversible_start(dal_stepper *self, double t, const double *x, dal__rev
     const double a = sqrt(square(self, begin->field + n));
     if (v == 0.0 && a == 0.0)
         return dal__fail(&self->mech.error, DAL_EDOMAIN, "the initial state is at rest and stays "
-                         "there: a reversible step has no size");
+                         "there, so reversible steps have no size; use a fixed h");
     const double times[] = {q / v, sqrt(q / a)};
     double h = HUGE_VAL;
     for (size_t i = 0; i < DAL_LENGTH(times); i++)
@@ -277,8 +278,8 @@ int dal__reversible_step(dal_stepper *self)
         if (dal__vary_is_final(status) || (hopeless && motion->error->text[0])) return status;
         if (hopeless)
             return dal__fail(motion->error, DAL_ENOCONV, "no reversible step from t = %.17g is "
-                             "short enough: with h = %g its estimated error is %g of the motion, "
-                             "which changes at a rate of %g at its end", t, h, error, sigma);
+                             "short enough: with h = %g the estimated error is %g of the motion; "
+                             "its rate of change is %g", t, h, error, sigma);
         motion->stats->rejected++;
         now.rho = 2.0 * now.eps / fabs(h);
         resets += !learns;

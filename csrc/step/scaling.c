@@ -29,14 +29,14 @@
 static int check_system(const dal_system *system, dal_error *error)
 {
     const dal_system_def *const def = &system->def;
-    const char *const what = def->kind == DAL_AFFINE ? "affine constraints: a scaled v leaves D"
-                           : def->kind != DAL_LINEAR ? "nonlinear constraints: a scaled v leaves D"
+    const char *const what = def->kind == DAL_AFFINE ? "affine constraints (a scaled v leaves D)"
+                           : def->kind != DAL_LINEAR ? "nonlinear constraints (a scaled v leaves D)"
                            : def->force ? "a force, which does work"
                            : def->driven ? "inputs in its constraints, which do work"
-                           : !dal__is_autonomous(system) ? "what depends on time" : NULL;
+                           : !dal__is_autonomous(system) ? "an explicit dependence on time" : NULL;
     if (!what) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: \"%s\" has %s", def->name,
-                     what);
+    return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not possible for \"%s\", "
+                     "because it has %s", def->name, what);
 }
 
 int dal__scaling_make(dal_stepper *self, const dal_options *options, dal_error *error)
@@ -44,19 +44,22 @@ int dal__scaling_make(dal_stepper *self, const dal_options *options, dal_error *
     const int wanted = options ? options->keep_energy : 0;
     if (wanted == 0) return DAL_SUCCESS;
     if (wanted != 1)
-        return dal__fail(error, DAL_EINVAL, "options.keep_energy = %d is neither 0 nor 1", wanted);
+        return dal__fail(error, DAL_EINVAL, "options.keep_energy = %d: expected 0 or 1", wanted);
     if (options->eps != 0.0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not of reversible "
-                         "steps (eps = %g): it is for steps of one size", options->eps);
+        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not possible with "
+                         "reversible steps (eps = %g); use a fixed h", options->eps);
     if (options->tolerance != 0.0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not of error-controlled "
-                         "steps (tolerance = %g): it is for steps of one size", options->tolerance);
+        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not possible with "
+                         "error-controlled steps (tolerance = %g); use a fixed h",
+                         options->tolerance);
     if (self->scheme.nodes == DAL_KEPT_NODES)
-        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not of the kept nodes of "
-                         "\"%s\": a scaled v leaves D_eps", self->scheme.name);
+        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not possible with the kept "
+                         "nodes of \"%s\", because a scaled v leaves D_eps; choose a scheme with "
+                         "moved nodes", self->scheme.name);
     if (!self->scheme.symmetric || !self->family->forget_velocity)
-        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not of \"%s\": expected a "
-                         "symmetric scheme of the family beta, as leapfrog", self->scheme.name);
+        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not possible with \"%s\"; "
+                         "choose a symmetric scheme of the family beta, for example leapfrog",
+                         self->scheme.name);
     const int status = check_system(self->motion.system, error);
     if (status) return status;
     dal__place_reserve(self, &self->scaling.before, &self->scaling.arena);
@@ -103,9 +106,9 @@ int dal__check_degree(dal_mechanics *mech, double t, const double *x, const char
             if (!(fabs(M[i * n + j] - other[i * n + j]) <= SAME * size)) same = false;
         }
     if (!status && same) return DAL_SUCCESS;
-    return dal__fail(&mech->error, DAL_EUNSUPPORTED, "%s: expected L of second degree in v, but "
-                     "L_vv at another velocity is %s", name,
-                     status ? "not defined" : "not that of the start");
+    return dal__fail(&mech->error, DAL_EUNSUPPORTED, "%s: expected L quadratic in v, but L_vv at "
+                     "another velocity is %s", name,
+                     status ? "not defined" : "different from its initial value");
 }
 
 int dal__scaling_start(dal_stepper *self, const double *x, double *energy)
@@ -119,7 +122,8 @@ int dal__scaling_start(dal_stepper *self, const double *x, double *energy)
     if (status) return status;
     const int measured = measure(mech, x, energy, &twice);
     if (measured || isfinite(*energy)) return measured;
-    return dal__fail(&mech->error, DAL_EDOMAIN, "the energy at the start is %g", *energy);
+    return dal__fail(&mech->error, DAL_EDOMAIN, "the initial energy is %g: expected a finite "
+                     "number", *energy);
 }
 
 /* ---- a step --------------------------------------------------------------------------------- */

@@ -89,7 +89,8 @@ int dal_scheme_find(dal_scheme *scheme, const char *name, dal_error *error)
             return DAL_SUCCESS;
         }
     list_schemes(sizeof names, names);
-    return dal__fail(error, DAL_EINVAL, "there is no scheme \"%.40s\"; there are %s", name, names);
+    return dal__fail(error, DAL_EINVAL, "there is no scheme \"%.40s\"; choose one of: %s", name,
+                     names);
 }
 
 const dal_family *dal__scheme_family(const dal_scheme *scheme)
@@ -112,8 +113,9 @@ dal_substep dal__scheme_substep(const dal_scheme *scheme, size_t j)
 int dal__scheme_check_plain(const dal_scheme *scheme, const char *family, dal_error *error)
 {
     if (scheme->nodes == DAL_MOVED_NODES && scheme->count == 0) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "scheme.nodes = %d, scheme.count = %zu: the family %s has "
-                     "moved nodes, and no sub-steps", (int)scheme->nodes, scheme->count, family);
+    return dal__fail(error, DAL_EINVAL, "scheme.nodes = %d, scheme.count = %zu: expected "
+                     "DAL_MOVED_NODES and no sub-steps for the family %s", (int)scheme->nodes,
+                     scheme->count, family);
 }
 
 int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *system)

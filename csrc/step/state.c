@@ -72,7 +72,7 @@ static const char *fault(const field *f, double value)
 {
     if (isnan(value) || (isinf(value) && !f->energy)) return "not finite";
     if (f->counter && !(value >= 0.0 && value <= 0x1p53 && value == floor(value)))
-        return "no counter";
+        return "not a whole number from 0 to 2^53";
     return f->flag && value != 0.0 && value != 1.0 ? "neither 0 nor 1" : NULL;
 }
 
@@ -111,8 +111,8 @@ static int check_resumable(dal_stepper *self, const double *values)
 {
     if (!values) return dal__fail(&self->error, DAL_EINVAL, "values is NULL");
     if (dal_stepper_saved(self) > 0) return DAL_SUCCESS;
-    return dal__fail(&self->error, DAL_EUNSUPPORTED, "the steps of \"%s\" cannot be resumed: a "
-                     "multistep method depends on the steps before", self->scheme.name);
+    return dal__fail(&self->error, DAL_EUNSUPPORTED, "the steps of \"%s\" cannot be resumed, "
+                     "because a multistep method depends on earlier steps", self->scheme.name);
 }
 
 int dal_stepper_save(dal_stepper *stepper, double *values)
@@ -144,23 +144,23 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
     const dal_family *const family = self->family;
     dal_error *const error = &self->error;
     if (count > 0 && values[0] != VERSION)
-        return dal__fail(error, DAL_EINVAL, "values[0] = %g is not %d: what was saved is not a "
-                         "state of this version", values[0], VERSION);
+        return dal__fail(error, DAL_EINVAL, "values[0] = %g: expected %d; the saved state was "
+                         "written by another version of dalembert", values[0], VERSION);
     if (count > 3 && (values[1] != (double)n || values[2] != (double)m
                       || values[3] != self->identity))
-        return dal__fail(error, DAL_EINVAL, "what was saved is of another system or scheme: n = "
-                         "%g, m = %g; here n = %zu, m = %zu and scheme \"%s\"", values[1],
+        return dal__fail(error, DAL_EINVAL, "the saved state belongs to another system or scheme: "
+                         "n = %g, m = %g; expected n = %zu, m = %zu and scheme \"%s\"", values[1],
                          values[2], n, m, self->scheme.name);
     if (count > 5 && (values[4] != self->pace.tolerance || values[5] != longest(self)))
-        return dal__fail(error, DAL_EINVAL, "what was saved has tolerance = %g and h_max = %g; "
-                         "here tolerance = %g and h_max = %g", values[4], values[5],
-                         self->pace.tolerance, longest(self));
+        return dal__fail(error, DAL_EINVAL, "the saved state has tolerance = %g and h_max = %g; "
+                         "expected tolerance = %g and h_max = %g, as in this stepper", values[4],
+                         values[5], self->pace.tolerance, longest(self));
     if (count > 6 && values[6] != (double)self->scaling.wanted)
-        return dal__fail(error, DAL_EINVAL, "what was saved has keep_energy = %g; here it is %d",
-                         values[6], (int)self->scaling.wanted);
+        return dal__fail(error, DAL_EINVAL, "the saved state has keep_energy = %g; expected %d, as "
+                         "in this stepper", values[6], (int)self->scaling.wanted);
     if (count > 7 && values[7] != self->reversible.eps)
-        return dal__fail(error, DAL_EINVAL, "what was saved has eps = %g, and here eps = %g",
-                         values[7], self->reversible.eps);
+        return dal__fail(error, DAL_EINVAL, "the saved state has eps = %g; expected eps = %g, as "
+                         "in this stepper", values[7], self->reversible.eps);
     if (count != expected)
         return dal__fail(error, DAL_EINVAL, "count = %zu: expected %zu numbers", count, expected);
     field fields[FIELDS];
@@ -175,24 +175,25 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
     const int status = dal__stepper_check_times(self, t, h);
     if (status) return status;
     if (!isfinite(t + (steps - first + 1.0) * h))
-        return dal__fail(error, DAL_EINVAL, "values[%d] = %g steps of h = %g lead from t = %g to "
-                         "no finite time", OF + 2, steps, h, t);
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g: so many steps of h = %g from t = %g "
+                         "do not reach a finite time", OF + 2, steps, h, t);
     if (self->pace.q > 0 ? !(next * h > 0.0 && share > 0.0 && values[HEAD - 1] > 0.0)
                          : next != 0.0)
-        return dal__fail(error, DAL_EINVAL, "values[%d] = %g is not of steps of %s", HEAD - 2, next,
-                         self->pace.q > 0 ? "controlled size" : "another kind");
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g: not the saved state of %s", HEAD - 2,
+                         next, self->pace.q > 0 ? "error-controlled steps"
+                                                : "steps without error control");
     if (self->vary.on ? !(first <= steps) : first != 0.0)
-        return dal__fail(error, DAL_EINVAL, "values[%d] = %g is not of steps of %s", HEAD - 5,
-                         first, self->vary.on ? "sizes that vary" : "one size");
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g: not the saved state of %s", HEAD - 5,
+                         first, self->vary.on ? "steps of variable size" : "steps of fixed size");
     const double *const reversible = values + HEAD - 9; /* rho, v0^2, fastest^2 */
     if (self->reversible.eps > 0.0 && !(reversible[0] > 0.0 && reversible[1] >= 0.0
                                         && reversible[2] >= 0.0))
-        return dal__fail(error, DAL_EINVAL, "values[%d] = %g and what follows is not of reversible "
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g: not the saved state of reversible "
                          "steps", HEAD - 9, reversible[0]);
     const size_t of_family = before_family(self);
     if (family->accepts && !family->accepts(self->method, values + of_family))
-        return dal__fail(error, DAL_EINVAL, "values[%zu] and what follows is not of the scheme "
-                         "\"%s\"", of_family, self->scheme.name);
+        return dal__fail(error, DAL_EINVAL, "values[%zu]: not the saved state of the scheme \"%s\"",
+                         of_family, self->scheme.name);
     return DAL_SUCCESS;
 }
 

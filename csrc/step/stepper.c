@@ -52,12 +52,13 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
         DAL__REQUIRE(error, {"stepper", stepper}, {"system", system}, {"scheme", scheme});
     if (status) return status;
     if (options && options->max_iterations < 0)
-        return dal__fail(error, DAL_EINVAL, "options.max_iterations = %d is negative",
-                         options->max_iterations);
+        return dal__fail(error, DAL_EINVAL, "options.max_iterations = %d: expected a positive "
+                         "number, or 0 for the default", options->max_iterations);
     if (system->def.driven && scheme->nodes == DAL_KEPT_NODES)
-        return dal__fail(error, DAL_EUNSUPPORTED, "\"%s\": the constraints of \"%s\" depend on "
-                         "inputs, and a change of these would move the kept nodes; expected a "
-                         "scheme with moved nodes", scheme->name, system->def.name);
+        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support the constraints "
+                         "of \"%s\", because they depend on inputs, which would move its kept "
+                         "nodes; choose a scheme with moved nodes", scheme->name,
+                         system->def.name);
     const dal_family *const family = dal__scheme_family(scheme);
     if (!family->name || !family->advance)
         return dal__fail(error, DAL_EINVAL, "scheme.family->%s is NULL",
@@ -168,9 +169,10 @@ int dal__stepper_check_times(dal_stepper *stepper, double t0, double h)
     dal_error *const error = &stepper->error;
     if (!isfinite(t0)) return dal__fail(error, DAL_EINVAL, "t0 = %g is not finite", t0);
     if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
-        return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed", h);
+        return dal__fail(error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
     if (t0 + h == t0)
-        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g", h, t0);
+        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g; take a larger step",
+                         h, t0);
     return DAL_SUCCESS;
 }
 
@@ -183,8 +185,8 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     if (!x) return dal__fail(error, DAL_EINVAL, "x is NULL");
     const bool found = self->vary.on && isinf(h); /* by the step itself */
     if (self->reversible.eps > 0.0 && !isinf(h))
-        return dal__fail(error, DAL_EINVAL, "h = %g: reversible steps have a size of their own; "
-                         "expected INFINITY or -INFINITY, their direction", h);
+        return dal__fail(error, DAL_EINVAL, "h = %g: expected INFINITY or -INFINITY, the direction "
+                         "of reversible steps, which find their own size", h);
     const int status =
         dal__stepper_check_times(self, t0, found ? copysign(fmax(1.0, fabs(t0)), h) : h);
     if (status) return status;
@@ -198,12 +200,12 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     if ((int)initial < DAL_INITIAL_NONE || initial > DAL_INITIAL_SHIFT)
         return dal__fail(error, DAL_EINVAL, "initial = %d is not a dal_initial", (int)initial);
     if (kept && initial == DAL_INITIAL_NONE)
-        return dal__fail(error, DAL_EINVAL, "a scheme with kept nodes needs initial: data in D "
-                         "used as they are, in D_eps, projected onto D_eps, or shifted to the "
-                         "node");
+        return dal__fail(error, DAL_EINVAL, "initial is missing: a scheme with kept nodes needs it "
+                         "(data in D, in D_eps, to be projected onto D_eps, or shifted to the "
+                         "node)");
     if (!kept && initial != DAL_INITIAL_NONE)
-        return dal__fail(error, DAL_EINVAL, "initial = %d: only a scheme with kept nodes takes it",
-                         (int)initial);
+        return dal__fail(error, DAL_EINVAL, "initial = %d: expected DAL_INITIAL_NONE, because only "
+                         "schemes with kept nodes have a choice", (int)initial);
     return DAL_SUCCESS;
 }
 
@@ -218,9 +220,9 @@ static int make_consistent(dal_stepper *self, double t0, double shift, dal_consi
     int status = dal__lies_in_D(mech, t0, shift, self->fresh, &stats->initial_residual,
                                 &consistent);
     if (!status && consistency == DAL_CHECK && !consistent)
-        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: their "
-                         "residual is %.3g, more than roundoff and %g of the terms of phi",
-                         shift == 0.0 ? "D" : "D_eps", stats->initial_residual, DAL_CONSISTENT);
+        return dal__fail(&mech->error, DAL_EOFFD, "the initial velocity violates the constraint%s: "
+                         "relative residual %.3g, allowed %g", shift == 0.0 ? "" : " of D_eps",
+                         stats->initial_residual, DAL_CONSISTENT);
     if (!status && consistency != DAL_ASSUME)
         status = dal_project(mech, t0, shift, self->fresh, &stats->initial_correction);
     return status;
@@ -242,9 +244,10 @@ static int check_steady(dal_mechanics *mech)
             turns = fmax(turns, fabs(mech->forms.dmu[e]));
         }
         if (pushed != 0.0 && turns != 0.0)
-            return dal__fail(&mech->error, DAL_EINVAL, "the system is declared steady, but "
-                             "coordinate %zu is pushed by a reaction (M^-1 mu^T has %g there), and "
-                             "mu depends on it (d(mu v)/dq has %g)", i, pushed, turns);
+            return dal__fail(&mech->error, DAL_EINVAL, "the system is declared steady, but mu "
+                             "depends on coordinate %zu, which a reaction pushes (M^-1 mu^T has %g "
+                             "there, d(mu v)/dq has %g); do not declare it steady", i, pushed,
+                             turns);
     }
     return DAL_SUCCESS;
 }
@@ -259,7 +262,7 @@ static int check_positional(dal_mechanics *mech, double t0, const double *q, con
     for (size_t i = 0; i < mech->n; i++)
         if (!(mech->step[i] == mech->force[i]))
             return dal__fail(&mech->error, DAL_EINVAL, "the force is declared positional, but "
-                             "f[%zu] is %g at the initial velocity, and %g where v[0] = %g", i,
+                             "f[%zu] is %g at the initial velocity and %g where v[0] = %g", i,
                              mech->force[i], mech->step[i], v[0]);
     return DAL_SUCCESS;
 }
@@ -415,7 +418,7 @@ int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
 int dal__stepper_started(dal_stepper *stepper)
 {
     if (stepper->started) return DAL_SUCCESS;
-    return dal__fail(&stepper->error, DAL_EINVAL, "the stepper was not started");
+    return dal__fail(&stepper->error, DAL_EINVAL, "the stepper was not started; call start first");
 }
 
 /* A step that chooses its size; before one that is to be short C is looked at. */
@@ -505,8 +508,8 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
     status = dal__stepper_advance(stepper, steps, &made);
     if (done) *done = made;
     if (!status && made < steps)
-        return dal__fail(&stepper->error, DAL_EINVAL, "the stepper is at t = %g, where its steps "
-                         "were to end", dal_stepper_time(stepper));
+        return dal__fail(&stepper->error, DAL_EINVAL, "the stepper has reached the end of its "
+                         "steps, t = %g; set a later end", dal_stepper_time(stepper));
     if (status || !reaction || steps == 0) return status;
     const double elapsed = stepper->vary.on ? dal_stepper_time(stepper) - begin
                                                : (double)steps * stepper->motion.h;

@@ -42,13 +42,13 @@ int dal_stepper_until(dal_stepper *stepper, double t)
     if (!stepper) return DAL_EINVAL;
     dal_error *const error = &stepper->error;
     if (!stepper->vary.on)
-        return dal__fail(error, DAL_EUNSUPPORTED, "the steps are all of h: they end where they "
-                         "end");
+        return dal__fail(error, DAL_EUNSUPPORTED, "until needs steps of variable size; this stepper "
+                         "has a fixed h");
     const int status = dal__stepper_started(stepper);
     if (status) return status;
     if (!(dal__stepper_ahead(stepper) * (t - dal_stepper_time(stepper)) >= 0.0))
-        return dal__fail(error, DAL_EINVAL, "t = %g lies before the time of the stepper, %g, in "
-                         "the direction of its steps", t, dal_stepper_time(stepper));
+        return dal__fail(error, DAL_EINVAL, "t = %g: expected a time from %g on, in the direction "
+                         "of the steps", t, dal_stepper_time(stepper));
     stepper->vary.until = t;
     return DAL_SUCCESS;
 }

@@ -46,12 +46,14 @@ static int check_def(const dal_system *system, const dal_embedding_def *def, dal
 {
     if (dal__require_step(error, def->h)) return DAL_EINVAL;
     if (def->order < 0)
-        return dal__fail(error, DAL_EINVAL, "order = %d is negative", def->order);
+        return dal__fail(error, DAL_EINVAL, "order = %d: expected 0 or a positive number",
+                         def->order);
     if (def->order == 0 && def->scheme->order <= 0)
-        return dal__fail(error, DAL_EINVAL, "order = 0, and the record promises no order either");
+        return dal__fail(error, DAL_EINVAL, "order = 0: expected a positive order, because the "
+                         "record of the scheme promises none");
     if (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)) return DAL_EINVAL;
     if (!dal__is_autonomous(system))
-        return dal__fail(error, DAL_EUNSUPPORTED, "%s: only autonomous systems are embedded",
+        return dal__fail(error, DAL_EUNSUPPORTED, "%s: expected an autonomous system",
                          system->def.force ? "a force may depend on time"
                          : system->def.driven ? "inputs drive the constraints"
                                               : "the system depends on time");
@@ -223,8 +225,8 @@ static int solve_source(dal_embedding *self, double tau, const double *z)
         last = change;
     }
     if (status || last <= small) return status;
-    return dal__fail(&self->error, DAL_ENOCONV, "no curve through z at tau = %g was found (last "
-                     "change %g): h = %g is too large", tau, last, self->h);
+    return dal__fail(&self->error, DAL_ENOCONV, "found no curve through z at tau = %g (last update "
+                     "%g): h = %g is too large", tau, last, self->h);
 }
 
 /* A time of this name, finite coordinates z[width] that the caller calls name, an output, and a
@@ -245,7 +247,7 @@ int dal_embedding_curve(dal_embedding *self, double tau, const double *y, double
 {
     int status = check_arguments(self, "", 0.0, "y", y, "G", G);
     if (!status && !(tau >= 0.0 && tau <= MOST_PERIODS))
-        status = dal__fail(&self->error, DAL_EINVAL, "tau = %g is not in [0, %g]", tau,
+        status = dal__fail(&self->error, DAL_EINVAL, "tau = %g: expected a number in [0, %g]", tau,
                            MOST_PERIODS);
     if (status) return status;
     dal__copy(self->width, y, self->y);
@@ -345,8 +347,8 @@ int dal_embedding_flow(dal_embedding *self, double t0, double t1, double *z)
     for (double steps = 0.0; !status && dal__ode_elapsed(self->perturbed) != t1 - t0; steps++) {
         self->watch.made = fabs(dal__ode_elapsed(self->perturbed) / self->h);
         if (steps >= most)
-            return dal__fail(&self->error, DAL_ENOCONV, "%d steps did not lead through a period at "
-                             "t = %g: h = %g is too large", STEPS_A_PERIOD,
+            return dal__fail(&self->error, DAL_ENOCONV, "%d steps did not complete a period at t = "
+                             "%g: h = %g is too large", STEPS_A_PERIOD,
                              t0 + dal__ode_elapsed(self->perturbed), self->h);
         status = dal__ode_step(self->perturbed, t1 - t0, &self->error);
     }

@@ -485,26 +485,25 @@ static int judge(const study *self, const dal_order *order, const char **why)
     const bool hidden = run.sunk && ((step.sunk && open) || (resolved && lost));
     if (hidden && resolved && reaction.falls_short) return 0; /* p is hidden, s is not */
     if (hidden && self->tolerance > DEFAULT_TOLERANCE)
-        *why = "Not settled, for too few errors stand clear of that of the reference, or tell no "
+        *why = "Not settled, because too few errors exceed that of the reference, or they show no "
                "order yet: take a smaller tolerance";
     else if (hidden && run.few && step.few)
-        *why = "Not measurable in double, for fewer than three errors over a factor of two in h "
-               "lie between roundoff and the solution: take larger h that resolve it, or a longer "
-               "interval";
+        *why = "Not measurable in double, because fewer than three errors lie between roundoff and "
+               "the solution: take larger h that resolve it, or a longer interval";
     else if (hidden)
-        *why = "Not measurable in double, for the order still changes with h where the errors "
+        *why = "Not measurable in double, because the order still changes with h where the errors "
                "reach roundoff: take a longer interval";
     else if (few)
-        *why = "Not settled, for too few errors stand clear of roundoff: three over a factor of "
-               "two in h are needed, so give more numbers of steps, or take a longer interval";
+        *why = "Not settled, because fewer than three errors over a factor of two in h exceed "
+               "roundoff: take more numbers of steps, or a longer interval";
     else if (!resolved)
-        *why = "Not settled, for an error at t_end is as large as the solution, or a run failed "
-               "with a smaller step than others: take fine steps only, or a shorter interval";
+        *why = "Not settled, because an error at t_end is as large as the solution, or a finer run "
+               "failed: take fine steps, or a shorter interval";
     else if (changes)
-        *why = "Not settled, for the order still changes with h: take finer steps";
+        *why = "Not settled, because the order still changes with h: take finer steps";
     else
-        *why = "Not settled, for the errors at t_end do not have the order that one step has: "
-               "take finer steps, and see whether the motion is smooth";
+        *why = "Not settled, because the errors at t_end do not have the order of one step: take "
+               "finer steps, and check that the motion is smooth";
     return hidden && self->tolerance <= DEFAULT_TOLERANCE ? -3 : -2;
 }
 
@@ -538,7 +537,7 @@ static const char *verdict_word(const dal_order *order, const char *why)
     switch (order->holds) {
     case 1: return order->state.exact && order->global_state.exact ? "Exact to roundoff" : "Holds";
     case 0: return "Does not hold";
-    case -1: return "The record promises nothing";
+    case -1: return "The scheme promises no order";
     default: return why;
     }
 }
@@ -583,7 +582,7 @@ static void write_verdict(study *self, double worst, const char *why, dal_order 
              order->state.points == 1 ? "" : "s", promised,
              order_text(&order->global_state, 0.0, at_end), kept, failed,
              loses_energy(self) ? "; nothing does work on the system, but its energy changes as "
-             "much at the smallest h: gradient may not be that of potential, see check" : "");
+             "much at the smallest h: gradient may not belong to potential, see check" : "");
 }
 
 /* Whether errors of one order less than promised would be seen at the longest step.  Those of one
@@ -639,20 +638,23 @@ static int check_def(const dal_system *system, const dal_scheme *scheme,
 {
     if (!isfinite(def->t0) || !isfinite(def->t_end) || !isfinite(def->t_end - def->t0) ||
         def->t_end == def->t0)
-        return dal__fail(error, DAL_EINVAL, "t0 = %g, t_end = %g: an interval of nonzero, finite "
-                         "length is needed", def->t0, def->t_end);
+        return dal__fail(error, DAL_EINVAL, "t0 = %g, t_end = %g: expected an interval of finite "
+                         "length other than 0", def->t0, def->t_end);
     if (def->count == 0)
-        return dal__fail(error, DAL_EINVAL, "count = 0: at least one number of steps is needed");
+        return dal__fail(error, DAL_EINVAL, "count = 0: expected at least one number of steps");
     for (size_t i = 0; i < def->count; i++)
-        if (def->steps[i] == 0) return dal__fail(error, DAL_EINVAL, "steps[%zu] = 0", i);
+        if (def->steps[i] == 0) return dal__fail(error, DAL_EINVAL, "steps[%zu] = 0: expected a "
+                                                 "positive number", i);
     if (DAL__REQUIRE_FINITE(error, {"x0", 2 * dal_system_n(system), def->x0})
         || (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)))
         return DAL_EINVAL;
     const bool kept = scheme->nodes == DAL_KEPT_NODES;
     if (kept != (def->initial != DAL_INITIAL_NONE))
         return dal__fail(error, DAL_EINVAL, "initial = %d: %s", (int)def->initial,
-                         kept ? "kept nodes have to be told how to start"
-                              : "only kept nodes have a choice of how to start");
+                         kept ? "expected a dal_initial other than DAL_INITIAL_NONE for a scheme "
+                                "with kept nodes"
+                              : "expected DAL_INITIAL_NONE, because only schemes with kept nodes "
+                                "have a choice");
     return DAL_SUCCESS;
 }
 
@@ -698,9 +700,8 @@ static int place_on_D(study *self)
     dal__copy(2 * self->n, self->def->x0, self->x0);
     int status = dal_relative_residual(self->mech, self->def->t0, 0.0, self->x0, &residual);
     if (!status && residual > DAL_CONSISTENT)
-        return dal__fail(self->error, DAL_EOFFD, "the initial data do not lie in D: their "
-                         "residual is %.3g, at most %g is accepted", residual,
-                         DAL_CONSISTENT);
+        return dal__fail(self->error, DAL_EOFFD, "the initial velocity violates the constraint: "
+                         "relative residual %.3g, allowed %g", residual, DAL_CONSISTENT);
     if (!status) status = dal_project(self->mech, self->def->t0, 0.0, self->x0, NULL);
     return dal__fail_because(self->error, status, dal_mechanics_error(self->mech), "%s", "");
 }

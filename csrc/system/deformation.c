@@ -111,15 +111,15 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
                 dal_error *error)
 {
     if (base->def.m == 0)
-        return dal__fail(error, DAL_EINVAL, "base has no constraints that could be deformed");
+        return dal__fail(error, DAL_EINVAL, "base has no constraints to deform");
     if (base->def.driven)
         return dal__fail(error, DAL_EUNSUPPORTED, "base is \"%s\", whose constraints depend on "
-                         "inputs: they are not deformed", base->def.name);
+                         "inputs: such constraints cannot be deformed", base->def.name);
     if (!isfinite(self->delta))
         return dal__fail(error, DAL_EINVAL, "%s = %g is not finite", self->g ? "delta" : "shift",
                          self->delta);
     if (dal__times(base->def.m, base->def.n) > MOST_ENTRIES)
-        return dal__fail(error, DAL_EUNSUPPORTED, "m n = %zu * %zu: at most %d are supported",
+        return dal__fail(error, DAL_EUNSUPPORTED, "m n = %zu * %zu: expected at most %d",
                          base->def.m, base->def.n, (int)MOST_ENTRIES);
     char name[128];
     snprintf(name, sizeof name, "%.100s_deformed", base->def.name);
@@ -152,10 +152,10 @@ int dal_system_deform(dal_system **system, const dal_system *base, dal_deformati
     const int status = DAL__REQUIRE(error, {"system", system}, {"base", base}, {"g", g});
     if (status) return status;
     if (missing & ~(unsigned)(DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))
-        return dal__fail(error, DAL_EINVAL, "missing = %#x: only DAL_MISSING_PHI_Q, for g_q, and "
-                         "DAL_MISSING_PHI_T, for g_t, are allowed", missing);
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: expected only DAL_MISSING_PHI_Q, for "
+                         "g_q, and DAL_MISSING_PHI_T, for g_t", missing);
     if (kind < base->def.kind)
-        return dal__fail(error, DAL_EINVAL, "kind = %d, but the base is of kind %d already",
+        return dal__fail(error, DAL_EINVAL, "kind = %d: expected at least %d, the kind of the base",
                          (int)kind, (int)base->def.kind);
     deformation self = {.g = g, .ctx = ctx, .delta = delta};
     return make(system, base, &self, deformed, kind, missing, error);
@@ -167,8 +167,8 @@ int dal_system_deform_nodes(dal_system **system, const dal_system *base, double 
     const int status = DAL__REQUIRE(error, {"system", system}, {"base", base});
     if (status) return status;
     if (base->def.missing & DAL_MISSING_PHI_Q)
-        return dal__fail(error, DAL_EINVAL, "base does not provide phi_q, which phi_v at a shifted "
-                         "point needs");
+        return dal__fail(error, DAL_EINVAL, "base does not provide phi_q, which the shifted "
+                         "constraint needs");
     deformation self = {.delta = shift};
     return make(system, base, &self, shifted, DAL_NONLINEAR, 0, error);
 }

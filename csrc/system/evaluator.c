@@ -379,8 +379,8 @@ static int refuse_output(const evaluator *e, callback which, size_t k, const dou
     const dal__entry entry = {callbacks[which].name, out->name,
                               sparsity ? sparsity->row[i] : i / columns,
                               sparsity ? sparsity->column[i] : i % columns, x[i]};
-    return dal__fail_entry(error, DAL_EDOMAIN, &entry, " = %g is not finite, or was not written",
-                           x[i]);
+    return dal__fail_entry(error, DAL_EDOMAIN, &entry, " = %g is not finite, or the callback did "
+                           "not set it", x[i]);
 }
 
 /* The outputs x, as far as they are wanted; but phi of linear constraints need not be finite. */
@@ -469,20 +469,19 @@ int dal__check_compiled(const dal_system *system, dal_error *error)
     const dal_system_def *const def = &system->def;
     const dal_compiled *const compiled = def->compiled;
     if (def->sparsity)
-        return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and there is a sparsity: a "
-                         "compiled step routine is for systems without");
+        return dal__fail(error, DAL_EINVAL, "compiled and sparsity are both given: a compiled step "
+                         "routine needs a system without a sparsity");
     if (def->missing)
-        return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and derivatives are missing: a "
-                         "compiled step routine is for systems where nothing is");
+        return dal__fail(error, DAL_EINVAL, "compiled is given, but derivatives are missing: a "
+                         "compiled step routine needs all of them");
     if (compiled->momenta != dal__has_momenta(system))
-        return dal__fail(error, DAL_EINVAL, "compiled: its steps are %s, and the system is not: "
-                         "mass, constraints or force are others", compiled->momenta
-                         ? "for M(q), forces of v, or constraints that are not linear"
-                         : "for constant mass, linear constraints, and no force that depends on v");
+        return dal__fail(error, DAL_EINVAL, "compiled: the step routine belongs to a different "
+                         "system, one with %s", compiled->momenta
+                         ? "M(q), a force of v, or constraints that are not linear"
+                         : "constant mass, linear constraints, and no force that depends on v");
     if (compiled->forced == (def->force != NULL)) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "compiled: its steps are %s a force, and the system is "
-                     "not: mass, constraints or force are others",
-                     compiled->forced ? "with" : "without");
+    return dal__fail(error, DAL_EINVAL, "compiled: the step routine belongs to a different system, "
+                     "one %s a force", compiled->forced ? "with" : "without");
 }
 
 int dal__potential(evaluator *e, double t, const double *q, double *V, double *V_q, double *V_qq,

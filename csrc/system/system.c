@@ -45,30 +45,36 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
     const unsigned known =
         of_potential | DAL_MISSING_PHI_Q | of_lagrangian | of_force | of_time;
     if (def->missing & ~known)
-        return dal__fail(error, DAL_EINVAL, "missing = %#x has bits outside %#x", def->missing,
-                         known);
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: expected no bits outside %#x",
+                         def->missing, known);
     if (def->mass && def->masses)
         return dal__fail(error, DAL_EINVAL, "mass and masses are both given: expected one of the "
                          "two");
     if (def->lagrangian && (has_mass(def) || def->potential))
-        return dal__fail(error, DAL_EINVAL, "lagrangian and %s are both given: a system has either "
-                         "a Lagrangian, or a mass and perhaps a potential",
+        return dal__fail(error, DAL_EINVAL, "lagrangian and %s are both given: expected either a "
+                         "Lagrangian, or a mass and optionally a potential",
                          def->mass ? "mass" : def->masses ? "masses" : "potential");
     if (!def->lagrangian && !has_mass(def))
-        return dal__fail(error, DAL_EINVAL, "mass is NULL, and so is lagrangian");
+        return dal__fail(error, DAL_EINVAL, "mass, masses and lagrangian are all NULL: expected "
+                         "one of them");
     if (def->lagrangian && (def->missing & of_potential))
-        return dal__fail(error, DAL_EINVAL, "missing = %#x: there is no potential, but a "
-                         "lagrangian", def->missing);
+        return dal__fail(error, DAL_EINVAL, "missing = %#x has bits for derivatives of a "
+                         "potential, but the system has a lagrangian", def->missing);
     if (!def->lagrangian && (def->missing & of_lagrangian))
-        return dal__fail(error, DAL_EINVAL, "missing = %#x: lagrangian is NULL", def->missing);
+        return dal__fail(error, DAL_EINVAL, "missing = %#x has bits for derivatives of L, but "
+                         "lagrangian is NULL", def->missing);
     if (!def->force && !def->driven && def->inputs > 0)
-        return dal__fail(error, DAL_EINVAL, "inputs = %zu: force and driven are NULL", def->inputs);
+        return dal__fail(error, DAL_EINVAL, "inputs = %zu, but force and driven are NULL: expected "
+                         "one of them, or inputs = 0", def->inputs);
     if (def->driven && def->inputs == 0)
-        return dal__fail(error, DAL_EINVAL, "driven is not NULL, and inputs is 0");
+        return dal__fail(error, DAL_EINVAL, "driven is not NULL, but inputs = 0: expected at least "
+                         "one input");
     if (!def->force && (def->missing & of_force))
-        return dal__fail(error, DAL_EINVAL, "missing = %#x: force is NULL", def->missing);
+        return dal__fail(error, DAL_EINVAL, "missing = %#x has bits for derivatives of a force, "
+                         "but force is NULL", def->missing);
     if (!def->time_dependent && (def->missing & of_time))
-        return dal__fail(error, DAL_EINVAL, "missing = %#x: time_dependent is 0", def->missing);
+        return dal__fail(error, DAL_EINVAL, "missing = %#x has bits for derivatives by time, but "
+                         "time_dependent is 0", def->missing);
     return DAL_SUCCESS;
 }
 
@@ -76,20 +82,22 @@ static int check_steady(const dal_system_def *def, dal_error *error)
 {
     const char *const why = !def->steady ? NULL
                             : def->steady < DAL_STEADY_DECLARED || def->steady > DAL_STEADY_EVEN
-                                ? "that is not a dal_steady"
-                            : !has_mass(def) ? "mass is NULL"
-                            : def->kind != DAL_LINEAR ? "the constraints are not linear"
-                            : def->time_dependent ? "the system depends on time"
+                                ? "expected a dal_steady"
+                            : !has_mass(def) ? "expected 0, because mass is NULL"
+                            : def->kind != DAL_LINEAR ? "expected 0, because the constraints are "
+                                                        "not linear"
+                            : def->time_dependent ? "expected 0, because the system depends on time"
                                                   : NULL;
     if (!why) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "steady = %d, and %s", def->steady, why);
+    return dal__fail(error, DAL_EINVAL, "steady = %d: %s", def->steady, why);
 }
 
 static int check_sparsity(const dal_system_def *def, dal_error *error)
 {
     const dal_sparsity *const given = def->sparsity;
     if (!given) return DAL_SUCCESS;
-    if (def->m == 0) return dal__fail(error, DAL_EINVAL, "sparsity with m = 0 constraints");
+    if (def->m == 0) return dal__fail(error, DAL_EINVAL, "sparsity is given, but m = 0: expected "
+                                      "at least one constraint");
     if (given->entries > 0 && !(given->row && given->column))
         return dal__fail(error, DAL_EINVAL, "sparsity.%s is NULL", given->row ? "column" : "row");
     for (size_t e = 0; e < given->entries; e++) {
@@ -109,10 +117,10 @@ static int check_sparsity(const dal_system_def *def, dal_error *error)
 static int check_def(const dal_system_def *def, dal_error *error)
 {
     const size_t n = def->n, m = def->m;
-    if (n < 1) return dal__fail(error, DAL_EINVAL, "n = %zu: at least one coordinate is needed", n);
+    if (n < 1) return dal__fail(error, DAL_EINVAL, "n = %zu: expected at least one coordinate", n);
     if (m > n)
-        return dal__fail(error, DAL_EINVAL, "m = %zu constraints on n = %zu coordinates: at most n "
-                         "are independent", m, n);
+        return dal__fail(error, DAL_EINVAL, "m = %zu constraints on n = %zu coordinates: expected "
+                         "at most n", m, n);
     if (!def->sparsity && dal__times(dal__times(n, n), sizeof(double)) > PTRDIFF_MAX)
         return dal__fail(error, DAL_ENOMEM, "n = %zu: the size of an n x n matrix overflows", n);
     int status = check_lagrangian(def, error);
@@ -121,28 +129,29 @@ static int check_def(const dal_system_def *def, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "kind = %d is not a dal_constraint_kind",
                          (int)def->kind);
     if (m == 0 && def->kind != DAL_LINEAR)
-        return dal__fail(error, DAL_EINVAL, "kind = %d with m = 0 constraints", (int)def->kind);
+        return dal__fail(error, DAL_EINVAL, "kind = %d with m = 0 constraints: expected DAL_LINEAR",
+                         (int)def->kind);
     if (m > 0 && !def->constraint && !def->driven)
-        return dal__fail(error, DAL_EINVAL, "m = %zu and constraint is NULL", m);
+        return dal__fail(error, DAL_EINVAL, "m = %zu, but constraint is NULL", m);
     if (m == 0 && (def->constraint || def->driven))
-        return dal__fail(error, DAL_EINVAL, "m = 0 and %s is not NULL",
+        return dal__fail(error, DAL_EINVAL, "m = 0, but %s is not NULL",
                          def->constraint ? "constraint" : "driven");
     if (def->constraint && def->driven)
         return dal__fail(error, DAL_EINVAL, "constraint and driven are both given: expected one of "
                          "the two");
     if (def->invariants > 0 && (!def->invariant || !def->invariant_names))
-        return dal__fail(error, DAL_EINVAL, "invariants = %zu and %s is NULL", def->invariants,
+        return dal__fail(error, DAL_EINVAL, "invariants = %zu, but %s is NULL", def->invariants,
                          def->invariant ? "invariant_names" : "invariant");
     if (def->state && !dal__all_finite(2 * n, def->state))
         return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
     if (def->ctx_size > 0 && !def->ctx)
-        return dal__fail(error, DAL_EINVAL, "ctx_size = %zu and ctx is NULL", def->ctx_size);
+        return dal__fail(error, DAL_EINVAL, "ctx_size = %zu, but ctx is NULL", def->ctx_size);
     if (def->parameters && def->ctx_size == 0)
-        return dal__fail(error, DAL_EINVAL, "parameters is not NULL, and ctx_size is 0: expected a "
+        return dal__fail(error, DAL_EINVAL, "parameters is not NULL, but ctx_size is 0: expected a "
                          "ctx that is copied");
     if (def->positional != 0 && (def->positional != 1 || !def->force))
-        return dal__fail(error, DAL_EINVAL, "positional = %d, and %s", def->positional,
-                         def->force ? "expected is 0 or 1" : "force is NULL");
+        return dal__fail(error, DAL_EINVAL, "positional = %d: %s", def->positional,
+                         def->force ? "expected 0 or 1" : "expected 0, because force is NULL");
     if (def->time_dependent != 0 && def->time_dependent != 1)
         return dal__fail(error, DAL_EINVAL, "time_dependent = %d: expected 0 or 1",
                          def->time_dependent);

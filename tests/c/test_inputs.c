@@ -382,7 +382,7 @@ static void test_failures(const dal_system *system)
     dal_run run = {.stepper = stepper, .steps = STEPS, .stride = STEPS, .x = row,
                    .control = control, .control_ctx = &self};
     CHECK(dal_run_go(&run, 1) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_error(stepper)->text, "control is not NULL, and inputs is") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "control is not NULL, but inputs is NULL") != NULL);
     for (size_t k = 0; k < STEPS * INPUTS; k++) inputs[k] = k == 3 * INPUTS ? (double)NAN : 0.5;
     run = (dal_run){.stepper = stepper, .steps = STEPS, .stride = STEPS, .inputs = inputs};
     CHECK(dal_run_go(&run, SIZE_MAX) == DAL_EINVAL && run.done == 3);
@@ -401,7 +401,7 @@ static void test_failures(const dal_system *system)
         CHECK(dal_run_go(&run, SIZE_MAX) == statuses[i]);
         CHECK(run.done == (i == 2 ? 0 : 4));
         if (i == 1)
-            CHECK(strcmp(dal_stepper_error(asked)->text, "the control returned -3 at step 4") == 0);
+            CHECK(strcmp(dal_stepper_error(asked)->text, "control returned -3 at step 4") == 0);
         dal_stepper_free(asked);
     }
 
@@ -409,7 +409,7 @@ static void test_failures(const dal_system *system)
     dal_stepper *const without = open_stepper(none, &(dal_scheme){.beta = 0.5}, NULL);
     run = (dal_run){.stepper = without, .steps = 1, .stride = 1, .inputs = inputs};
     CHECK(dal_run_go(&run, 1) == DAL_EINVAL
-          && strstr(dal_stepper_error(without)->text, "but the system has none") != NULL);
+          && strstr(dal_stepper_error(without)->text, "but the system has no inputs") != NULL);
     CHECK(dal_stepper_input(without, NULL) == DAL_SUCCESS); /* none are none */
     CHECK(dal_system_inputs(none) == 0 && dal_system_input_name(none, 0) == NULL);
     dal_stepper_free(without);
@@ -469,7 +469,7 @@ static void test_driven(void)
     dal_system_def def = {.n = 2, .m = 1, .masses = ones, .potential = ramp, .driven = conveyor,
                           .kind = DAL_AFFINE};
     CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL
-          && strcmp(error.text, "driven is not NULL, and inputs is 0") == 0);
+          && strcmp(error.text, "driven is not NULL, but inputs = 0: expected at least one input") == 0);
     def.inputs = 1;
     def.constraint = plane_blade;
     CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL
@@ -487,7 +487,7 @@ static void test_driven(void)
     dal_stepper *stepper = NULL;
     const dal_scheme kept = find_scheme("midpoint-nodes"), record = find_scheme("leapfrog");
     CHECK(dal_stepper_new(&stepper, system, &kept, NULL, &error) == DAL_EUNSUPPORTED
-          && strstr(error.text, "expected a scheme with moved nodes") != NULL);
+          && strstr(error.text, "choose a scheme with moved nodes") != NULL);
 
     /* the jump belongs to the step, whose impulse has it; until then the state is as it was */
     stepper = open_stepper(system, &record, NULL);

@@ -679,7 +679,7 @@ static void test_check(const variety *a)
         if (wrong == 1) CHECK(strstr(check.finding.text, "phi_t[0,0]") && check.phi_t.wrong);
         if (wrong == 2 && a->general)
             CHECK(strstr(check.finding.text, "L_vt[") && check.L_vt.wrong);
-        if (wrong == 3) CHECK(strstr(check.finding.text, "declared time_dependent") != NULL);
+        if (wrong == 3) CHECK(strstr(check.finding.text, "declare the system time_dependent") != NULL);
         dal_system_free(system);
     }
 }

@@ -378,7 +378,7 @@ static void test_hidden_orders(void)
     measurement result = measure("particle_oscillator", &scheme, DAL_INITIAL_NONE, 1.0, COUNT,
                                  steps);
     expect_flag(&result, result.order.holds == -3, result.order.text);
-    expect_flag(&result, strstr(result.order.text, "Not measurable in double, for the order still")
+    expect_flag(&result, strstr(result.order.text, "Not measurable in double, because the order")
                 != NULL, "in words");
     scheme.multiplier_order = 1;
     result = measure("particle_oscillator", &scheme, DAL_INITIAL_NONE, 1.0, COUNT, steps);
@@ -751,7 +751,7 @@ static void test_arguments(void)
     } while (0)
     REFUSED(&midpoint, DAL_EINVAL, "t_end = nan", bad.t_end = NAN);
     REFUSED(&midpoint, DAL_EINVAL, "t_end = 0", bad.t_end = 0.0);
-    REFUSED(&midpoint, DAL_EINVAL, "nonzero, finite length", bad.t_end = 0.0);
+    REFUSED(&midpoint, DAL_EINVAL, "an interval of finite length", bad.t_end = 0.0);
     REFUSED(&midpoint, DAL_EINVAL, "x0 is NULL", bad.x0 = NULL);
     REFUSED(&midpoint, DAL_EINVAL, "count = 0", bad.count = 0);
     REFUSED(&midpoint, DAL_EINVAL, "steps[1] = 0", bad.steps = none);
@@ -761,7 +761,7 @@ static void test_arguments(void)
     REFUSED(NULL, DAL_EINVAL, "scheme is NULL", (void)bad);
     memcpy(off, x0, sizeof off);
     off[5] += 0.01;
-    REFUSED(&midpoint, DAL_EOFFD, "do not lie in D", bad.x0 = off);
+    REFUSED(&midpoint, DAL_EOFFD, "violates the constraint", bad.x0 = off);
     off[5] = INFINITY;
     REFUSED(&midpoint, DAL_EINVAL, "x0[5] = inf", bad.x0 = off);
     dal_system_free(system);

@@ -179,7 +179,7 @@ def test_version():
         (("study", "particle", "--steps", "10,x"), "expected whole numbers"),
         (("study", "particle", "--steps", "0"), "steps[0] = 0"),
         (("study", "particle", "--q0", "0,1"), "q0"),
-        (("study", "particle", "--q0", "0,1,0", "--v0", "1,1,0"), "do not lie in D"),
+        (("study", "particle", "--q0", "0,1,0", "--v0", "1,1,0"), "violates the constraint"),
         (("study", "particle", "--initial", "E"), "D_eps"),
         (("study", "particle", "--t-end", "0"), "t_end"),
         (

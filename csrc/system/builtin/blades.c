@@ -87,9 +87,9 @@ INVARIANT(knife_edge_invariant)
 const builtin dal__knife_edge = {
     .name = "knife_edge",
     .help = "knife edge (mass m, inertia J) on an incline, x downhill with acceleration gs",
-    .description = "An edge (mass m, inertia J) at (x, y) with heading theta, which moves along "
-                   "itself only, on a plane that slopes down along x; gs is g times the sine of "
-                   "the slope. It turns uniformly, and so drifts sideways instead of sliding down.",
+    .description = "An edge (mass m, inertia J) at (x, y) with heading theta moves only along "
+                   "itself, on a plane that slopes down along x; gs is g times the sine of the "
+                   "slope. It turns uniformly, and so drifts sideways instead of sliding down.",
     .source = "J. I. Neimark, N. A. Fufaev: Dynamics of Nonholonomic Systems, AMS, 1972; "
               "A. M. Bloch: Nonholonomic Mechanics and Control, Springer, 2003",
     .formulas = "L = (m (v_x^2 + v_y^2) + J v_theta^2)/2 + m gs x\n"
@@ -219,9 +219,9 @@ INVARIANT(sleigh_invariant)
 const builtin dal__sleigh = {
     .name = "sleigh",
     .help = "Chaplygin sleigh (m, J), centre of mass a distance a ahead of the blade",
-    .description = "A body (mass m, inertia J) on a blade and two points that slide freely: (x, y) "
-                   "is the centre of mass, theta the heading, and the blade stands a distance a "
-                   "behind. It ends up going straight, blade behind for a > 0.",
+    .description = "A body (mass m, inertia J) on a blade and two points that slide freely. (x, y) "
+                   "is the centre of mass, theta the heading; the blade is a distance a behind. In "
+                   "the end it moves straight, with the blade behind for a > 0.",
     .source = "S. A. Chaplygin: On the theory of motion of nonholonomic systems. The "
               "reducing-multiplier theorem (1911), Regul. Chaotic Dyn. 13 (2008) 369-376",
     .formulas = "L = (m (v_x^2 + v_y^2) + J v_theta^2)/2\n"

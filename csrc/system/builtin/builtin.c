@@ -52,8 +52,8 @@ static int fail_unknown_system(const char *name, dal_error *error)
 {
     char known[400] = "";
     for (size_t i = 0; i < TABLE_COUNT; i++) append_name(sizeof known, known, table[i]->name);
-    return dal__fail(error, DAL_EINVAL, "there is no built-in system \"%.60s\"; there are %s", name,
-                     known);
+    return dal__fail(error, DAL_EINVAL, "there is no built-in system \"%.60s\"; choose one of: %s",
+                     name, known);
 }
 
 static int fail_unknown_parameter(const builtin *record, const char *name, dal_error *error)
@@ -82,7 +82,7 @@ static int require_in_range(const builtin *record, const parameter *of, double v
         snprintf(most, sizeof most, "%u", of->most);
     }
     if (inside) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "parameter %s of %s is %.15g; expected %s%s", of->name,
+    return dal__fail(error, DAL_EINVAL, "parameter %s of %s = %.15g: expected %s%s", of->name,
                      record->name, value, ranges[of->range].words, most);
 }
 
@@ -182,9 +182,9 @@ int dal__builtin_check(const dal_system *system, const double *values, dal_error
     size_t n, m;
     find_sizes(record, values, &n, &m);
     if (n == system->def.n && m == system->def.m) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "these parameters of %s make a system of n = %zu "
-                     "coordinates and m = %zu constraints; expected n = %zu, m = %zu, as the "
-                     "system has", record->name, n, m, system->def.n, system->def.m);
+    return dal__fail(error, DAL_EINVAL, "the new parameters of %s give n = %zu coordinates and m = "
+                     "%zu constraints; expected n = %zu and m = %zu, as before", record->name, n, m,
+                     system->def.n, system->def.m);
 }
 
 size_t dal_system_parameters(const dal_system *system) { return system->parameters; }

@@ -67,9 +67,8 @@ const builtin dal__contact_oscillator = {
     .name = "contact_oscillator",
     .help = "oscillators x, z with coupling eps x^2 z^2, v_x = -y v_z driven by oscillator y",
     .description = "Two oscillators x and z, coupled by the constraint and by a term of size eps "
-                   "in the potential. The ratio y of the gearbox between them is an oscillator of "
-                   "its own, which nothing acts upon. It starts with energy 3/2, of which y has "
-                   "1/2.",
+                   "in the potential. The ratio y of the gearbox between them is a free "
+                   "oscillator. The initial energy is 3/2, of which y has 1/2.",
     .source = "R. McLachlan, M. Perlmutter: Integrators for nonholonomic mechanical systems, "
               "J. Nonlinear Sci. 16 (2006) 283-328",
     .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2 - (x^2 + y^2 + z^2 + eps x^2 z^2)/2\n"
@@ -167,8 +166,8 @@ const builtin dal__chaotic = {
     .name = "chaotic",
     .help = "chaotic quartic oscillator with v_x = -sum y_i v_zi; 2 pairs + 1 coordinates",
     .description = "Oscillators `x`, `y_i` and `z_i` with i = 1, ..., pairs, coupled by quartic "
-                   "terms; without the term `z1^2 z2^2` for a single pair. It starts with one of "
-                   "the ten sets of data of energy 3.06 that the source has for three pairs.",
+                   "terms; without the term `z1^2 z2^2` for a single pair. The initial data are "
+                   "one of the ten sets of energy 3.06 that the source has for three pairs.",
     .source = "R. McLachlan, M. Perlmutter: Integrators for nonholonomic mechanical systems, "
               "J. Nonlinear Sci. 16 (2006) 283-328",
     .formulas = "L = (v_x^2 + sum_i(v_y_i^2 + v_z_i^2))/2 - (x^2 + z1^2 z2^2 + sum_i(y_i^2 + z_i^2 "
@@ -240,10 +239,10 @@ CONSTRAINT(genmass_constraint)
 const builtin dal__genmass = {
     .name = "genmass",
     .help = "a general system: full mass matrix M(q), gyroscopic terms b(q) v, quartic potential",
-    .description = "No mechanism: a Lagrangian in which no term vanishes, to test what holds in "
-                   "general: a full mass matrix that depends on the coordinates, terms linear in "
-                   "the velocities, and a quartic potential.",
-    .source = "made up for the tests of this library",
+    .description = "Not a mechanism but a Lagrangian in which no term vanishes, for tests of "
+                   "general statements. It has a full mass matrix that depends on the coordinates, "
+                   "terms linear in the velocities, and a quartic potential.",
+    .source = "constructed for the tests of this library",
     .formulas = "L = ((2 + q2^2/4) v_q1^2 + (3/2 + cos(q1)/3) v_q2^2 + (1 + q1^2/3) v_q3^2)/2 "
                 "+ q3 v_q1 v_q2/5 + v_q1 v_q3/10 + q1 v_q2 v_q3/6 "
                 "+ q2 q3 v_q1/4 + sin(q1) v_q2/3 - q1 q2 v_q3/5 - V\n"

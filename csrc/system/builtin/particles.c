@@ -57,8 +57,8 @@ INVARIANT(particle_oscillator_invariant)
 const builtin dal__particle = {
     .name = "particle",
     .help = "free particle with v_z = y v_x",
-    .description = "A particle of mass 1 in space, which climbs as it runs along x, the more the "
-                   "larger y is: the example of the paper that this library is after.",
+    .description = "A particle of mass 1 in space that climbs as it moves along x, the more the "
+                   "larger y is. It is the example of the paper on which this library is based.",
     .source = "R. M. Rosenberg: Analytical Dynamics of Discrete Systems, Plenum Press, 1977; "
               "L. Bates, J. Śniatycki: Nonholonomic reduction, Rep. Math. Phys. 32 (1993) 99-115",
     .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2\n"

@@ -61,9 +61,9 @@ INVARIANT(disk_invariant)
 const builtin dal__disk = {
     .name = "disk",
     .help = "vertical rolling disk of radius R; inertia I rolling (theta), J heading (phi)",
-    .description = "A disk of mass m and radius R that stays upright: (x, y) is the point of "
-                   "contact, theta the angle by which it has rolled (inertia I), phi its heading "
-                   "(inertia J). Both angles turn uniformly, and the path is a circle.",
+    .description = "A disk of mass m and radius R that stays upright. (x, y) is the point of "
+                   "contact, theta the rolling angle (inertia I), phi the heading (inertia J). "
+                   "Both angles change uniformly, and the path is a circle.",
     .source = "J. I. Neimark, N. A. Fufaev: Dynamics of Nonholonomic Systems, AMS, 1972; "
               "A. M. Bloch: Nonholonomic Mechanics and Control, Springer, 2003",
     .formulas = "L = (m (v_x^2 + v_y^2) + I v_theta^2 + J v_phi^2)/2\n"
@@ -114,9 +114,9 @@ INVARIANT(robot_invariant)
 const builtin dal__robot = {
     .name = "robot",
     .help = "rolling robot with V = k sin(theta); inertia I heading (phi), J rolling (theta)",
-    .description = "A robot of mass m on wheels of radius R: (x, y) is its place, phi its heading "
-                   "(inertia I), theta the angle by which the wheels have rolled (inertia J), on "
-                   "which a torque from the potential k sin(theta) acts.",
+    .description = "A robot of mass m on wheels of radius R. (x, y) is its position, phi its "
+                   "heading (inertia I), theta the rolling angle of the wheels (inertia J). A "
+                   "torque from the potential k sin(theta) acts on theta.",
     .source = "J. Cortés, S. Martínez: Non-holonomic integrators, Nonlinearity 14 (2001) 1365-1392",
     .formulas = "L = (m (v_x^2 + v_y^2) + I v_phi^2 + J v_theta^2)/2 - k sin(theta)\n"
                 "v_x - R v_theta cos(phi) = 0\n"
@@ -206,9 +206,10 @@ CONSTRAINT(rolling_disc_constraint)
 const builtin dal__rolling_disc = {
     .name = "rolling_disc",
     .help = "rolling disc that may lean and fall, unlike disk; inertia A diametral, C axial",
-    .description = "A disc of mass m and radius r under gravity g: (x, y) lies below its centre, "
-                   "alpha is the yaw, beta the lean (0: upright), gamma the spin; inertia A about "
-                   "a diameter, C about the axis. It starts in a steady circle about the origin.",
+    .description = "A disc of mass m and radius r under gravity g. (x, y) is the point below its "
+                   "centre, alpha the yaw, beta the lean (0: upright), gamma the spin. The inertia "
+                   "is A about a diameter, C about the axis. It starts in a steady circle about "
+                   "the origin.",
     .source = "O. M. O'Reilly: The dynamics of rolling disks and sliding disks, Nonlinear Dyn. 10 "
               "(1996) 287-305; the steady circle after C. Le Saux, R. I. Leine, C. Glocker: "
               "Dynamics of a rolling disk in the presence of dry friction, J. Nonlinear Sci. 15 "
@@ -288,10 +289,10 @@ INVARIANT(ball_invariant)
 const builtin dal__ball_on_table = {
     .name = "ball_on_table",
     .help = "homogeneous ball (m, J, radius a) on a table that turns by Omega: affine constraints",
-    .description = "A ball of mass m, inertia J and radius a that rolls on a table, which turns by "
-                   "Omega about the origin: (x, y) is the point of contact, `theta_x`, "
-                   "`theta_y`, `theta_z` are the integrals of the angular velocity. The centre "
-                   "goes round in a circle. The table does work, so the energy is not constant; "
+    .description = "A ball of mass m, inertia J and radius a that rolls on a table turning about "
+                   "the origin with angular velocity Omega. (x, y) is the point of contact, "
+                   "`theta_x`, `theta_y`, `theta_z` are the integrals of the angular velocity. The "
+                   "centre moves on a circle. The table does work, so the energy is not constant; "
                    "the last of the invariants takes its place.",
     .source = "J. I. Neimark, N. A. Fufaev: Dynamics of Nonholonomic Systems, AMS, 1972; F. Fassò, "
               "N. Sansonetto: Conservation of 'moving' energy in nonholonomic systems with affine "

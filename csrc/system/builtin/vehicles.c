@@ -19,7 +19,7 @@ static int snakeboard_check(const double *p, dal_error *error)
     const double m = p[0], r = p[1], J0 = p[2];
     if (m * r * r > J0) return DAL_SUCCESS;
     return dal__fail(error, DAL_EINVAL, "parameters m = %.15g, r = %.15g, J0 = %.15g of "
-                     "snakeboard; expected m r^2 > J0, and m r^2 is %.15g", m, r, J0, m * r * r);
+                     "snakeboard: expected m r^2 > J0, but m r^2 is %.15g", m, r, J0, m * r * r);
 }
 
 static void snakeboard_state(const double *p, double *x)
@@ -60,10 +60,10 @@ INVARIANT(snakeboard_invariant)
 const builtin dal__snakeboard = {
     .name = "snakeboard",
     .help = "snakeboard (m, half length r) with rotor J0 (psi) and axles J1 turned by phi and -phi",
-    .description = "A board with middle (x, y) and heading theta, a rotor at angle psi to it "
-                   "(inertia J0), and an axle (inertia J1) at either end, a distance r from the "
-                   "middle and turned by phi and -phi. m is the mass of all, and `m r^2` the "
-                   "inertia of all about the middle, which is larger than J0.",
+    .description = "A board with midpoint (x, y) and heading theta carries a rotor at angle psi to "
+                   "it (inertia J0). An axle (inertia J1) at either end, a distance r from the "
+                   "midpoint, is turned by phi and -phi. The total mass is m, and the total "
+                   "inertia about the midpoint is `m r^2`, which is larger than J0.",
     .source = "J. Ostrowski, A. Lewis, R. Murray, J. Burdick: Nonholonomic mechanics and "
               "locomotion: the snakeboard example, IEEE Int. Conf. Robot. Autom. (1994); "
               "A. M. Bloch, P. S. Krishnaprasad, J. E. Marsden, R. M. Murray: Nonholonomic "
@@ -267,10 +267,10 @@ INVARIANT(n_trailer_invariant)
 const builtin dal__n_trailer = {
     .name = "n_trailer",
     .help = "axle that pulls a chain of trailers on bars of length d; each has mass m, inertia J",
-    .description = "Axles 0, 1, ..., trailers of mass m and inertia J in a chain: (x, y) is the "
-                   "middle of the first, `theta_i` the heading of axle i, and each hangs on the "
-                   "one before by a bar of length d along its own heading. All move along "
-                   "themselves only; `u_i` and `w_i` are the velocity of axle i.",
+    .description = "A chain of axles 0, 1, ..., trailers of mass m and inertia J. (x, y) is the "
+                   "midpoint of the first, `theta_i` the heading of axle i. A bar of length d "
+                   "along its own heading connects each axle to the one in front. No axle slides "
+                   "sideways; `u_i` and `w_i` are the components of the velocity of axle i.",
     .source = "A. Bravo-Doddoli, L. C. García-Naranjo: The dynamics of an articulated n-trailer "
               "vehicle, Regul. Chaotic Dyn. 20 (2015) 497-517",
     .formulas = "L = sum_i(m (u_i^2 + w_i^2) + J v_theta_i^2)/2\n"

@@ -721,12 +721,12 @@ static void test_failures(void)
         CHECK((call) == (status));                                       \
         CHECK(strstr(dal_chart_error(chart)->text, words) != NULL);          \
     } while (0)
-    FAILS(DAL_EINVAL, dal_chart_lift(chart, 0.0, x, out), "no dependent coordinates are chosen");
+    FAILS(DAL_EINVAL, dal_chart_lift(chart, 0.0, x, out), "no dependent coordinates");
     FAILS(DAL_EINVAL, dal_chart_condition(chart, 0.0, x, &condition), "no dependent");
     FAILS(DAL_EINVAL, dal_chart_drop(chart, x, out), "no dependent");
     FAILS(DAL_EINVAL, dal_chart_choose(chart, 0.0, twice, x), "[0] and dependent[1] are both 1");
-    FAILS(DAL_EINVAL, dal_chart_choose(chart, 0.0, beyond, x), "dependent[1] = 3: there are n = 3");
-    FAILS(DAL_ESINGULAR, dal_chart_choose(chart, 0.0, first, x), "dependent coordinates q0, q1");
+    FAILS(DAL_EINVAL, dal_chart_choose(chart, 0.0, beyond, x), "dependent[1] = 3: expected an index below n = 3");
+    FAILS(DAL_ESINGULAR, dal_chart_choose(chart, 0.0, first, x), "the coordinates q0, q1 cannot");
     FAILS(DAL_EINVAL, dal_chart_choose(chart, 0.0, NULL, NULL), "x is NULL");
     CHECK(dal_chart_dependent(chart) == NULL);
     CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0);
@@ -809,8 +809,8 @@ static void test_singular_step(void)
     CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0 && dal_chart_drop(chart, x, xi) == 0);
     memcpy(before, xi, sizeof xi);
     CHECK(dal_chart_step(chart, 0.0, 1.0, 2.0, xi, NULL) == DAL_ESINGULAR);
-    CHECK(strstr(dal_chart_error(chart)->text, "with h = 2: the constraints lose rank, or h is too "
-                                               "large here") != NULL);
+    CHECK(strstr(dal_chart_error(chart)->text, "with h = 2: the constraints lose rank here, or h is "
+                                               "too large") != NULL);
     CHECK(memcmp(before, xi, sizeof xi) == 0);
     dal_chart_free(chart);
     dal_system_free(system);

@@ -435,8 +435,8 @@ static void test_failures(void)
     REFUSED(0, NAN, 0, 3, rows, 4, t, out, "h = nan");
     REFUSED(NAN, 0.1, 0, 3, rows, 4, t, out, "t0[0] = nan");
     REFUSED(0, 0.1, INFINITY, 3, rows, 4, t, out, "shift[0] = inf");
-    REFUSED(0, 0.1, 0, 2, rows, 4, t, out, "t = 0.15 lies outside of the stored states, "
-            "which go from 0 to 0.1");
+    REFUSED(0, 0.1, 0, 2, rows, 4, t, out, "t = 0.15 is outside the stored states: "
+            "expected a time from 0 to 0.1");
     REFUSED(0, -0.1, 0, 3, rows, 4, t, out, "t = 0.05 lies");
     REFUSED(0, 0.1, 0, 3, rows, 1, (double[]){NAN}, out, "t = nan lies");
     REFUSED(0, 0.1, 0, 1, rows, 1, t + 1, out, "t = 0.05 lies");

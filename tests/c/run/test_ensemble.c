@@ -623,7 +623,7 @@ static void test_refusals(void)
     REFUSED(DAL_EINVAL, system, &scheme, "members.h", wrong.h = NULL);
     REFUSED(DAL_EINVAL, system, &scheme, "members.steps", wrong.steps = NULL);
     REFUSED(DAL_EINVAL, system, &scheme, "members.events", wrong.event_count = 1);
-    REFUSED(DAL_EINVAL, system, &scheme, "there are 1 members", wrong.count = 1);
+    REFUSED(DAL_EINVAL, system, &scheme, "within the 1 members", wrong.count = 1);
     REFUSED(DAL_EINVAL, own, &scheme, "parameters", wrong.parameters = &number);
     REFUSED(DAL_EINVAL, system, &scheme, "members.inputs", wrong.inputs = &number);
     REFUSED(DAL_EINVAL, system, &scheme, "members.control", wrong.control = &law);
@@ -631,10 +631,10 @@ static void test_refusals(void)
             wrong.control = &law);
     REFUSED(DAL_EINVAL, system, &scheme, "steps_next", wrong.stride = 5; wrong.steps_next = 1);
     REFUSED(DAL_EINVAL, system, &scheme, "multiple of stride = 3", wrong.stride = 3);
-    REFUSED(DAL_EUNSUPPORTED, system, &flow, "cannot be resumed", wrong.events = &event;
+    REFUSED(DAL_EUNSUPPORTED, system, &flow, "does not support events", wrong.events = &event;
             wrong.event_count = 1);
     dal_system *const nameless = open_stateless();
-    REFUSED(DAL_EINVAL, nameless, &scheme, "no initial data", (void)wrong);
+    REFUSED(DAL_EINVAL, nameless, &scheme, "no default initial data", (void)wrong);
 #undef REFUSED
     CHECK(status[0] == 9);
     dal_system_free(nameless);

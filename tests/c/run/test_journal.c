@@ -651,7 +651,7 @@ static void test_refused(void)
 
     set_up(&o, p, true, 0.0);
     CHECK(dal_journal_new(&journal, path, &o.run, &scheme, NULL, &error) == DAL_EINVAL);
-    CHECK(strstr(error.text, "there is a file of this name"));
+    CHECK(strstr(error.text, "the file exists already"));
     CHECK(dal_journal_new(&journal, in_folder("a"), &o.run, &other, NULL, &error) == DAL_EINVAL);
     CHECK(dal_journal_new(&journal, in_folder("no/a"), &o.run, &scheme, NULL, &error) == DAL_EIO);
     CHECK(strstr(error.text, "No such file or directory"));
@@ -660,7 +660,7 @@ static void test_refused(void)
     CHECK(dal_journal_open(&journal, in_folder("none"), 0, NULL, &error) == DAL_EIO);
     write_file(in_folder("text"), "not a journal, but more than two hundred bytes", 46);
     CHECK(dal_journal_open(&journal, in_folder("text"), 0, NULL, &error) == DAL_EINVAL);
-    CHECK(strstr(error.text, "is not the journal of a run"));
+    CHECK(strstr(error.text, "not the journal of a run"));
     tear_down(&o);
 
     dal_system *const sleigh = open_system("sleigh");
@@ -713,13 +713,13 @@ static void test_other_runs(void)
     dal_run_go(&o.run, 21);
     tear_down(&o);
     const struct { int what; const char *text; int status; } wrong[] = {
-        {0, "stride is 4 there, and 2 in the run", DAL_EINVAL},
-        {1, "hold is 3 there, and 5 in the run", DAL_EINVAL},
-        {2, "the number of inputs is 2 there, and 0 in the run", DAL_EINVAL},
+        {0, "stride is 4 in the journal, but 2 in the run", DAL_EINVAL},
+        {1, "hold is 3 in the journal, but 5 in the run", DAL_EINVAL},
+        {2, "the number of inputs is 2 in the journal, but 0 in the run", DAL_EINVAL},
         {3, "another system or scheme", DAL_EINVAL},
         {4, "another system or scheme", DAL_EINVAL},
         {5, "inputs[1] of row 2 is ", DAL_EINVAL},
-        {6, "has 21 steps of the run, and steps = 20", DAL_EINVAL},
+        {6, "contains 21 steps, but the run has only steps = 20", DAL_EINVAL},
     };
     for (size_t k = 0; k < sizeof wrong / sizeof *wrong; k++) {
         plan other = *p;
@@ -770,7 +770,7 @@ static void test_computed_again(void)
         const int status = go(&o, 7);
         if (k == 0) {
             CHECK(status == DAL_EINVAL && o.run.done == 32);
-            CHECK(strstr(dal_stepper_error(o.stepper)->text, "is not what the run makes now"));
+            CHECK(strstr(dal_stepper_error(o.stepper)->text, "differs from the recomputed one"));
         } else {
             CHECK(status == DAL_SUCCESS);
         }
@@ -915,7 +915,7 @@ static void test_vanished(void)
     CHECK(dal_run_go(&o.run, 5) == DAL_SUCCESS);
     unlink(in_folder("gone"));
     CHECK(dal_run_go(&o.run, 5) == DAL_EIO);
-    CHECK(strstr(dal_journal_error(journal)->text, "the file is no longer there"));
+    CHECK(strstr(dal_journal_error(journal)->text, "the file was removed or replaced"));
     tear_down(&o);
 }
 

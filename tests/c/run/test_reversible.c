@@ -519,12 +519,12 @@ static void test_refused(void)
     dal_system *const system = open_system("knife_edge");
     dal_system *const curved = open_system("rolling_disc");
     dal_system *const affine = open_system("ball_on_table");
-    REFUSED(system, "leapfrog", "symmetric compositions", .eps = 0.1);
-    REFUSED(system, "midpoint", "symmetric compositions", .eps = 0.1);
-    REFUSED(system, "explicit", "symmetric compositions", .eps = 0.1);
-    REFUSED(system, "reference", "symmetric compositions", .eps = 0.1);
-    REFUSED(system, "pair:0.5:0.5", "symmetric compositions", .eps = 0.1);
-    REFUSED(system, "midpoint-nodes", "symmetric compositions", .eps = 0.1);
+    REFUSED(system, "leapfrog", "a symmetric composition", .eps = 0.1);
+    REFUSED(system, "midpoint", "a symmetric composition", .eps = 0.1);
+    REFUSED(system, "explicit", "a symmetric composition", .eps = 0.1);
+    REFUSED(system, "reference", "a symmetric composition", .eps = 0.1);
+    REFUSED(system, "pair:0.5:0.5", "a symmetric composition", .eps = 0.1);
+    REFUSED(system, "midpoint-nodes", "a symmetric composition", .eps = 0.1);
     REFUSED(system, "bm6", "options.eps = 0.25: expected a positive number up to 0.2",
             .eps = 0.25);
     REFUSED(system, "bm6", "options.eps = -0.1", .eps = -0.1);
@@ -542,7 +542,7 @@ static void test_refused(void)
     def.steady = 0;
     def.time_dependent = 1;
     need(dal_system_new(&other, &def, NULL), "time", "");
-    REFUSED(other, "bm6", "functions of the time", .eps = 0.1);
+    REFUSED(other, "bm6", "dependence on time", .eps = 0.1);
     dal_system_free(other);
     def.time_dependent = 0;
     def.force = no_force;

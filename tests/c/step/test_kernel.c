@@ -453,7 +453,7 @@ static void test_false_declaration_of_two(void)
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_error(stepper)->text, "declared steady, but coordinate 0") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "mu depends on coordinate 0") != NULL);
     dal_stepper_free(stepper);
     dal_system_free(system);
 }
@@ -473,7 +473,7 @@ static void test_false_declaration(void)
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     double x[6] = {0.0, 0.0, 0.3, 1.0, 0.0, 0.0};
     CHECK(dal_stepper_start(stepper, 0.0, 0.01, x, DAL_PROJECT, DAL_INITIAL_NONE) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_error(stepper)->text, "declared steady, but coordinate 2") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "mu depends on coordinate 2") != NULL);
     x[3] = 0.0;
     CHECK(dal_stepper_start(stepper, 0.0, 0.01, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     int status = DAL_SUCCESS;
@@ -482,7 +482,7 @@ static void test_false_declaration(void)
         CHECK(residual_of(system, 0.0, dal_stepper_state(stepper)) <= DAL_RESIDUAL_BOUND(3));
     }
     CHECK(status == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_error(stepper)->text, "declared steady, but mu at the end") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "a reaction changed mu") != NULL);
     dal_stepper_free(stepper);
     dal_system_free(system);
 }
@@ -621,14 +621,14 @@ static void test_bad_definitions(void)
     def.compiled = &larger;
     refused(&def, "compile it with the kernel.h of this library");
     def.compiled = &older;
-    refused(&def, "its number 12");
+    refused(&def, "number 12");
     def = good;
     def.steady = 0;
     def.force = no_force;
-    refused(&def, "mass, constraints or force");
+    refused(&def, "a different system");
     def.force = NULL;
     def.kind = DAL_AFFINE;
-    refused(&def, "mass, constraints or force");
+    refused(&def, "a different system");
     def.kind = DAL_LINEAR;
     def.missing = DAL_MISSING_PHI_Q;
     refused(&def, "missing");
@@ -636,7 +636,7 @@ static void test_bad_definitions(void)
     def.mass = NULL;
     def.potential = NULL;
     def.lagrangian = no_lagrangian;
-    refused(&def, "mass, constraints or force");
+    refused(&def, "a different system");
     def = good;
     def.ctx = NULL;
     refused_at_once(&def, "ctx is NULL");

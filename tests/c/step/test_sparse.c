@@ -530,7 +530,7 @@ static void test_refused(void)
     def.mass = NULL;
     def.constraint = NULL;
     def.m = 0;
-    refuse(&def, "sparsity with m = 0");
+    refuse(&def, "sparsity is given, but m = 0");
     def.sparsity = NULL;
     def.lagrangian = no_lagrangian;
     refuse(&def, "lagrangian and masses are both given");
@@ -543,7 +543,7 @@ static void test_refused(void)
     dal_system *system = NULL;
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, &error) == DAL_EINVAL);
-    CHECK(strstr(error.text, "there is a sparsity") != NULL);
+    CHECK(strstr(error.text, "compiled and sparsity") != NULL);
     dal_system_free(system);
 }
 

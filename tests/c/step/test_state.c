@@ -353,10 +353,10 @@ static bool is_hopeless(size_t i, double spoil, char words[32])
         return true;
     }
     if (i == TOLERANCE || i == LONGEST || i == EPS) {
-        snprintf(words, 32, "what was saved has %s", i == EPS ? "eps" : "tolerance");
+        snprintf(words, 32, "the saved state has %s", i == EPS ? "eps" : "tolerance");
         return true;
     }
-    if (i == KEEPS) snprintf(words, 32, "what was saved has keep_energy");
+    if (i == KEEPS) snprintf(words, 32, "the saved state has keep_energy");
     if (i == KEEPS) return spoil != 0.0;
     if (isnan(spoil) || (isinf(spoil) && !energy)) return true;
     if (i == NEXT_H) return spoil != 0.0; /* steps of one size have none */
@@ -395,7 +395,7 @@ static void check_spoiled(dal_stepper *home, dal_stepper *abroad, size_t N)
             const standing after = standing_of(abroad);
             if (status) { /* of the family's numbers */
                 CHECK(status == DAL_EINVAL && i >= HEAD + N);
-                CHECK(strstr(dal_stepper_error(abroad)->text, "is not of the scheme") != NULL);
+                CHECK(strstr(dal_stepper_error(abroad)->text, "not the saved state of the scheme") != NULL);
                 CHECK(same_standing(&before, &after));
                 continue;
             }

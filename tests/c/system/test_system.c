@@ -102,7 +102,7 @@ static void test_refused(void)
     REFUSED(def_.m = SIZE_MAX, DAL_EINVAL, "m = 18446744073709551615", "n = 2");
     REFUSED(def_.n = SIZE_MAX, DAL_ENOMEM, "n = 18446744073709551615", "overflows");
     REFUSED(def_.n = (size_t)1 << 31, DAL_ENOMEM, "n = 2147483648", "overflows");
-    REFUSED(def_.mass = NULL, DAL_EINVAL, "mass is NULL", "lagrangian");
+    REFUSED(def_.mass = NULL, DAL_EINVAL, "mass, masses and lagrangian are all NULL", "expected");
     REFUSED(def_.constraint = NULL, DAL_EINVAL, "m = 1", "constraint is NULL");
     REFUSED(def_.m = 0, DAL_EINVAL, "m = 0", "constraint is not NULL");
     REFUSED(def_.missing = 1024, DAL_EINVAL, "missing = 0x400", "outside 0x3ff");
@@ -127,7 +127,7 @@ static void test_refused(void)
     REFUSED((def_.lagrangian = lagrangian2, def_.mass = NULL), DAL_EINVAL,
             "lagrangian and potential", "both");
     REFUSED((def_.lagrangian = lagrangian2, def_.mass = NULL, def_.potential = NULL,
-             def_.missing = DAL_MISSING_V_QQ), DAL_EINVAL, "missing = 0x2", "no potential");
+             def_.missing = DAL_MISSING_V_QQ), DAL_EINVAL, "missing = 0x2", "derivatives of a potential");
 
     dal_system *system = NULL;
     dal_error error = {0};

@@ -388,7 +388,7 @@ def test_partial_run():
     run = dal.integrate(dal.systems.particle(), h=0.1, t_end=10, observer=observer)
     assert run.t[-1] == 3.0
     run(2.95)
-    with pytest.raises(ValueError, match="t = 3.05 lies outside of the stored.*from 0 to 3$"):
+    with pytest.raises(ValueError, match="t = 3.05 is outside the stored.*from 0 to 3$"):
         run(3.05)
 
 

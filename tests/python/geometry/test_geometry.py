@@ -119,9 +119,9 @@ def test_consistent_without_keep_is_the_projection(own):
 
 def test_consistent_with_too_much_kept(own):
     q, v = several(own, 1)
-    with pytest.raises(dal.SingularError, match="4 of 4 components are kept"):
+    with pytest.raises(dal.SingularError, match="keep fixes 4 of 4 velocities"):
         own.system().consistent(q[0], v[0], keep=["q0", "q1", "q2", "q3"])
-    with pytest.raises(dal.SingularError, match="2 of 3 components are kept") as caught:
+    with pytest.raises(dal.SingularError, match="keep fixes 2 of 3 velocities") as caught:
         dal.systems.particle().consistent(np.zeros((3, 3)), np.ones((3, 3)), keep=["y", "z"])
     assert caught.value.step == 0
 
@@ -158,7 +158,7 @@ def test_no_consistent_velocity():
         constraint_v=lambda q, v: [2 * v],
         coordinates=["x", "y"],
     )
-    with pytest.raises(dal.ConvergenceError, match="1 of 2 components kept: there may be none"):
+    with pytest.raises(dal.ConvergenceError, match="1 of 2 components fixed by keep"):
         system.consistent([0, 0], [3, 1], keep="x")
     v = system.consistent([0, 0], [1.5, 1], keep="x")
     np.testing.assert_allclose(v, [1.5, np.sqrt(1.75)], rtol=4 * U)

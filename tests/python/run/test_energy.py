@@ -114,7 +114,7 @@ def test_a_stepper_makes_the_same_bits():
     other.restore(stepper.save())
     other.step(steps=30)
     assert (other.x == run.x[-1]).all()
-    with pytest.raises(ValueError, match="keep_energy = 1; here it is 0"):
+    with pytest.raises(ValueError, match="keep_energy = 1; expected 0"):
         dal.Stepper(CURVED, "leapfrog-suzuki4", h=0.2).restore(stepper.save())
     stepper.reset([0.1, 0.2, 0.3], [1, 1, 0.2])
     energy = stepper.energy
@@ -177,7 +177,7 @@ def test_the_command_has_it():
         (dal.System.from_sympy(MASSES, [z.d - y * x.d - 1], q0=[0, 0, 0], v0=[1, 1, 1]),
          "leapfrog", "affine"),
         (dal.System.from_sympy(-sp.sqrt(1 - x.d**2), [], q0=[0], v0=[0.1]), "leapfrog",
-         "second degree"),
+         "quadratic in v"),
     ],
 )  # fmt: skip
 def test_refusals(system, scheme, words):

@@ -966,7 +966,7 @@ def test_many_driven_coordinates():
 @pytest.mark.parametrize(
     "how, text",
     [
-        ({"scheme": "midpoint-nodes", "initial": "D"}, "expected a scheme with moved nodes"),
+        ({"scheme": "midpoint-nodes", "initial": "D"}, "choose a scheme with moved nodes"),
         ({"scheme": "bm4", "h": "reversible"}, "inputs in its constraints"),
         ({"scheme": "leapfrog", "energy": "keep"}, "affine constraints"),
     ],

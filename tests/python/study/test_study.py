@@ -168,7 +168,7 @@ def test_an_order_that_is_lost_on_the_way_is_not_settled(potential, scheme, orde
     assert abs(study.p - study.scheme.order) < 0.2
     assert abs(study.fits["global_state"].slope - order_at_end) < 0.2
     assert study.holds is None and study.verdict == "undecided"
-    assert "errors at t_end do not have the order that one step has" in study.text
+    assert "errors at t_end do not have the order of one step" in study.text
     assert dal.convergence(particle_with(potential), scheme, [0, 1, 0], [1, 1, 1], t_end=0.4).holds
 
 

@@ -264,7 +264,7 @@ def test_check_finds_what_a_sparsity_leaves_out(given):
     rows, columns = [0, 0, 1, 1, 1], [0, 1, 3, 4, 5]  # without the heading of the first
     system = dal.System(mass=np.ones(6), forms=forms, sparsity=(rows, columns),
                         forms_velocity_derivative=derivative if given else None)
-    text = r"forms_velocity_derivative\[0,2\]" if given else r"sparsity: entry \(0, 2\) is left out"
+    text = r"forms_velocity_derivative\[0,2\]" if given else r"sparsity: entry \(0, 2\) is missing"
     assert re.search(text, str(system.check(q, v)))
     whole = dal.System(mass=np.ones(6), forms=lambda q: np.insert(forms(q), 2, 0),
                        sparsity=([0, 0, 0, 1, 1, 1], range(6)))
