@@ -351,7 +351,8 @@ static int compare(dal_journal *self, const dal_run *run, dal_error *error)
     for (size_t i = 0; i < DAL_LENGTH(numbers); i++)
         if (numbers[i].here != numbers[i].there)
             return dal__fail(error, DAL_EINVAL, "%s: %s is %llu in the journal, but %llu in the "
-                             "run", self->path, numbers[i].name, (unsigned long long)numbers[i].here,
+                             "run", self->path, numbers[i].name,
+                             (unsigned long long)numbers[i].here,
                              (unsigned long long)numbers[i].there);
     if (here->held != there->held)
         return dal__fail(error, DAL_EINVAL, "%s: held is %.17g in the journal, but %.17g in the "

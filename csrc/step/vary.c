@@ -42,8 +42,8 @@ int dal_stepper_until(dal_stepper *stepper, double t)
     if (!stepper) return DAL_EINVAL;
     dal_error *const error = &stepper->error;
     if (!stepper->vary.on)
-        return dal__fail(error, DAL_EUNSUPPORTED, "until needs steps of variable size; this stepper "
-                         "has a fixed h");
+        return dal__fail(error, DAL_EUNSUPPORTED, "until needs steps of variable size; this "
+                         "stepper has a fixed h");
     const int status = dal__stepper_started(stepper);
     if (status) return status;
     if (!(dal__stepper_ahead(stepper) * (t - dal_stepper_time(stepper)) >= 0.0))

@@ -845,8 +845,8 @@ static void test_too_few_iterations(void)
         CHECK(dal_step(stepper, NULL) == (most < 4 ? DAL_ENOCONV : DAL_SUCCESS));
         if (most < 4) {
             const char *const text = strstr(dal_stepper_error(stepper)->text, "Newton");
-            CHECK(sscanf(text, "Newton did not converge in %d iterations: last change %lf of %lf",
-                         &made, &change, &scale) == 3);
+            CHECK(sscanf(text, "Newton did not converge in %d iterations: the last update "
+                         "was %lf (size of the unknowns %lf)", &made, &change, &scale) == 3);
             CHECK(made == most && change > 0.0);
             if (most == 1) CHECK_NEAR(change, first, 1e-2 * first);
             if (most == 1) CHECK_NEAR(scale, first + (s.G - s.g), 1e-2 * scale);

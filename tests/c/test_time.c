@@ -679,7 +679,7 @@ static void test_check(const variety *a)
         if (wrong == 1) CHECK(strstr(check.finding.text, "phi_t[0,0]") && check.phi_t.wrong);
         if (wrong == 2 && a->general)
             CHECK(strstr(check.finding.text, "L_vt[") && check.L_vt.wrong);
-        if (wrong == 3) CHECK(strstr(check.finding.text, "declare the system time_dependent") != NULL);
+        if (wrong == 3) CHECK(strstr(check.finding.text, "declare the system time_dep") != NULL);
         dal_system_free(system);
     }
 }
@@ -693,7 +693,8 @@ static int still_constraint(double t, const double *q, const double *v, double *
 
 static void test_undeclared(void)
 {
-    static const char *const words[] = {"potential gives", "constraint gives", "lagrangian gives"};
+    static const char *const words[] = {"potential returns", "constraint returns",
+                                        "lagrangian returns"};
     double x[2 * N];
     for (int k = 0; k < 4; k++) {
         const variety *const a = &varieties[k < 2 ? 0 : 4];

@@ -401,7 +401,7 @@ def test_a_file_that_cannot_be_is_refused_before_the_run(tmp_path, capsys, monke
 def test_a_velocity_that_is_not_in_D_may_be_projected(capsys):
     asked = ["run", "particle", "--h", "0.1", "--steps", "3", "--q0=0,1,0", "--v0=1,1,0"]
     assert cli.main(asked) == 2
-    assert "consistent='project' would project v0" in capsys.readouterr().err
+    assert "Pass consistent='project'" in capsys.readouterr().err
     assert cli.main([*asked, "--consistent", "project"]) == 0
 
 

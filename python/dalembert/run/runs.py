@@ -20,8 +20,11 @@ from .events import Watch, split
 from .solution import Solution, Statistics, counts_of, rank_doubt
 from .steps import Steps
 
-OFF_D = "; consistent='project' would project v0"
-RESET_OFF_D = "; consistent='project' of the event would project v"
+OFF_D = (
+    ". Pass consistent='project' to use the nearest admissible velocity, or compute it with "
+    "system.project(q0, v0)"
+)
+RESET_OFF_D = ". Give the event consistent='project' to project the velocity after its reset"
 _FIRST_ROWS = 3  # of a run whose number of steps nobody knows
 PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
 
@@ -81,7 +84,7 @@ def of_inputs(system: System, inputs: Array | None) -> str:
     """Return words for the D at the start, if D depends on inputs."""
     values = np.zeros(len(system.inputs)) if inputs is None else inputs
     first = ", ".join(f"{name} = {u:g}" for name, u in zip(system.inputs, values))
-    return f"; D is that of the first inputs, {first}"
+    return f"; the first inputs are {first}"
 
 
 def consistent_state(

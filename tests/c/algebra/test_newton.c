@@ -170,8 +170,8 @@ static void test_texts(void)
     int iterations = 0, end = 0;
     dal__newton newton = open_problem(&p, ARCTANGENT, 2.0);
     CHECK(dal__newton_run(&newton, &p.error) == DAL_ENOCONV);
-    CHECK(sscanf(p.error.text, "Newton did not converge: its steps lead away from the start, %lf "
-                 "in all where the first was %lf, of %lf; try a smaller%n", &far, &first, &scale,
+    CHECK(sscanf(p.error.text, "Newton did not converge: its updates add up to %lf, the first was "
+                 "%lf (size of the unknowns %lf); try a smaller%n", &far, &first, &scale,
                  &end) == 3);
     CHECK(strcmp(p.error.text + end, " h") == 0);
     CHECK_NEAR(first, 5.0 * atan(2.0), 5e-3 * first);
@@ -182,8 +182,9 @@ static void test_texts(void)
     newton.most = 7;
     newton.advice = "it is a double root";
     CHECK(dal__newton_run(&newton, &p.error) == DAL_ENOCONV && p.calls == 7);
-    CHECK(sscanf(p.error.text, "Newton did not converge in %d iterations: last change %lf of %lf; "
-                 "it is a double %n", &iterations, &first, &scale, &end) == 3);
+    CHECK(sscanf(p.error.text, "Newton did not converge in %d iterations: the last update was "
+                 "%lf (size of the unknowns %lf); it is a double %n", &iterations, &first,
+                 &scale, &end) == 3);
     CHECK(iterations == 7 && strcmp(p.error.text + end, "root") == 0);
     CHECK_NEAR(first, 0x1p-7, 1e-5);
     dal__release(&p.memory);

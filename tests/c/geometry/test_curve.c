@@ -437,9 +437,9 @@ static void test_failures(void)
     REFUSED(0, 0.1, INFINITY, 3, rows, 4, t, out, "shift[0] = inf");
     REFUSED(0, 0.1, 0, 2, rows, 4, t, out, "t = 0.15 is outside the stored states: "
             "expected a time from 0 to 0.1");
-    REFUSED(0, -0.1, 0, 3, rows, 4, t, out, "t = 0.05 lies");
-    REFUSED(0, 0.1, 0, 3, rows, 1, (double[]){NAN}, out, "t = nan lies");
-    REFUSED(0, 0.1, 0, 1, rows, 1, t + 1, out, "t = 0.05 lies");
+    REFUSED(0, -0.1, 0, 3, rows, 4, t, out, "t = 0.05 is outside");
+    REFUSED(0, 0.1, 0, 3, rows, 1, (double[]){NAN}, out, "t = nan is outside");
+    REFUSED(0, 0.1, 0, 1, rows, 1, t + 1, out, "t = 0.05 is outside");
 #undef REFUSED
     CHECK(dal_chart_interpolate(NULL, 0, 0.1, 0, 3, rows, 4, t, out, NULL, NULL) == DAL_EINVAL);
     for (size_t k = 0; k < 24; k++) CHECK(out[k] == 7.0);

@@ -271,7 +271,7 @@ static void test_ranges(void)
     members.parameters_next = sizeof sleigh[0];
     CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, 2, NULL, NULL, NULL));
     CHECK(status[0] == DAL_EINVAL && status[1] == 0);
-    CHECK(strstr(errors[0].text, "parameter m of sleigh is -1; expected"));
+    CHECK(strstr(errors[0].text, "parameter m of sleigh = -1: expected"));
     dal_system_free(system);
 
     system = open_system("n_trailer");

@@ -629,8 +629,8 @@ static void test_failures(void)
         const char *text;
     } expected[] = {{0, ""}, {DAL_EUSER, "event 1 returned -7 at t = "},
                     {DAL_EDOMAIN, "event 1 returned 3 at t = "},
-                    {DAL_EDOMAIN, "event 1 is inf at t = "},
-                    {DAL_EDOMAIN, "event 1 is nan at t = "},
+                    {DAL_EDOMAIN, "event 1: g = inf at t = "},
+                    {DAL_EDOMAIN, "event 1: g = nan at t = "},
                     {DAL_EUSER, "the reset of event 1 returned -1 at t = 0.61"},
                     {DAL_EOFFD, "after the reset of event 1 at t = 0.61: the initial velocity"},
                     {DAL_EINVAL, "after the reset of event 1 at t = 0.61: q[0] = nan"}};

@@ -427,7 +427,7 @@ static void test_watch(void)
         if (watched) { /* in the middle of the first step */
             CHECK(g.calls == 1 && run.done == 0 && run.stored == 1 && x[1][N2] == EMPTY);
             CHECK(memcmp(dal_stepper_state(stepper), x[1], N2 * sizeof *x0) == 0);
-            CHECK(strstr(dal_stepper_error(stepper)->text, "the watch function returned 1") != NULL);
+            CHECK(strstr(dal_stepper_error(stepper)->text, "watch function returned 1") != NULL);
             g.answer = -1;
             run.watch_ctx = &(guard){.answer = -1, .from = g.from, .to = g.to};
             CHECK(dal_run_go(&run, 1) == DAL_EUSER && run.done == 0);

@@ -255,7 +255,7 @@ static void test_records(void)
     refused(&scheme, "0.5");
     scheme.data = NULL;
     scheme.nodes = DAL_KEPT_NODES;
-    refused(&scheme, "the family flow has moved nodes");
+    refused(&scheme, "no sub-steps for the family flow");
     scheme.nodes = DAL_MOVED_NODES;
     scheme.count = 1;
     refused(&scheme, "scheme.count = 1");

@@ -643,12 +643,12 @@ static void test_bad_definitions(void)
     def = good;
     def.compiled = NULL;
     def.kind = DAL_AFFINE;
-    refused_at_once(&def, "steady = 2, and the constraints are not linear");
+    refused_at_once(&def, "steady = 2: expected 0, because the constraints are not linear");
     def = good;
     def.steady = DAL_STEADY_EVEN + 1;
-    refused_at_once(&def, "steady = 4, and that is not a dal_steady");
+    refused_at_once(&def, "steady = 4: expected a dal_steady");
     def.steady = -1;
-    refused_at_once(&def, "steady = -1, and that is not a dal_steady");
+    refused_at_once(&def, "steady = -1: expected a dal_steady");
 }
 
 /* A deformation is another system: it has neither the kernel nor the size of the ctx of its

@@ -390,12 +390,12 @@ static void test_false_declaration(void)
     dal_system_free(system);
     def.positional = 2;
     CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL);
-    CHECK(strstr(error.text, "positional = 2, and expected is 0 or 1") != NULL);
+    CHECK(strstr(error.text, "positional = 2: expected 0 or 1") != NULL);
     def.force = NULL;
     def.inputs = 0;
     def.positional = 1;
     CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL);
-    CHECK(strstr(error.text, "positional = 1, and force is NULL") != NULL);
+    CHECK(strstr(error.text, "positional = 1: expected 0, because force is NULL") != NULL);
     dal_system_free(cart);
 }
 

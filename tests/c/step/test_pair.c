@@ -210,10 +210,10 @@ static void test_records(void)
     scheme.data = &wrong;
     refused(scheme, "1.5");
     scheme.data = NULL;
-    refused(scheme, "\"my own\" is not pair:A:B");
+    refused(scheme, "\"my own\": expected pair:A:B");
     scheme = find_scheme("pair:0.25:0.5");
     scheme.nodes = DAL_KEPT_NODES;
-    refused(scheme, "the family pair has moved nodes");
+    refused(scheme, "no sub-steps for the family pair");
     scheme.nodes = DAL_MOVED_NODES;
     scheme.count = 2;
     refused(scheme, "scheme.count = 2");

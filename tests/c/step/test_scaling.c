@@ -612,8 +612,8 @@ static int go_nowhere(void *method, dal_motion *motion, size_t steps, size_t *do
 static void test_refused(void)
 {
     dal_system *const edge = open_system("knife_edge");
-    refuse(edge, "explicit", keep, "\"explicit\": expected a symmetric");
-    refuse(edge, "reference", keep, "\"reference\": expected a symmetric");
+    refuse(edge, "explicit", keep, "\"explicit\"; choose a symmetric");
+    refuse(edge, "reference", keep, "\"reference\"; choose a symmetric");
     refuse(edge, "pair:0.5:0.5", keep, "choose a symmetric scheme of the family beta");
     refuse(edge, "midpoint-nodes", keep, "kept nodes");
     refuse(edge, "leapfrog-kl6", (dal_options){.keep_energy = 1, .tolerance = 1e-6},

@@ -175,7 +175,7 @@ static void test_validation(void)
     check_invalid(&(dal_scheme){.count = 1, .substeps = unknown}, "sub-step 0: beta");
     check_invalid(&(dal_scheme){.count = 1, .substeps = infinite}, "fraction = inf");
     check_invalid(&(dal_scheme){.count = 2, .substeps = two, .nodes = DAL_KEPT_NODES},
-                  "2 sub-steps");
+                  "scheme.count = 2");
     check_invalid(&(dal_scheme){.nodes = (dal_nodes)3}, "nodes = 3");
     CHECK(dal__beta_check(&(dal_scheme){.count = 2, .substeps = two}, NULL) == DAL_SUCCESS);
     CHECK(dal__beta_check(&(dal_scheme){.count = 3, .substeps = thirds}, NULL) == DAL_SUCCESS);

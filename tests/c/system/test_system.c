@@ -127,7 +127,7 @@ static void test_refused(void)
     REFUSED((def_.lagrangian = lagrangian2, def_.mass = NULL), DAL_EINVAL,
             "lagrangian and potential", "both");
     REFUSED((def_.lagrangian = lagrangian2, def_.mass = NULL, def_.potential = NULL,
-             def_.missing = DAL_MISSING_V_QQ), DAL_EINVAL, "missing = 0x2", "derivatives of a potential");
+             def_.missing = DAL_MISSING_V_QQ), DAL_EINVAL, "missing = 0x2", "of a potential");
 
     dal_system *system = NULL;
     dal_error error = {0};

@@ -573,6 +573,6 @@ def test_an_exception_that_was_stepped_around_is_not_the_reason_of_a_later_failu
     assert dal.integrate(system, "midpoint", **given).success and raised
     raised.clear()
     wild = 0.205
-    with pytest.raises(dal.DomainError, match="is not finite, or the callback did not set it") as caught:
+    with pytest.raises(dal.DomainError, match="the callback did not set it") as caught:
         dal.integrate(system, "midpoint", **given)
     assert raised and caught.value.step in (20, 21)

@@ -111,4 +111,4 @@ def test_page():
     with pytest.warns(dal.DalembertWarning):
         found = many(parameters={"J": [1.0, -1.0]})
     page = found._repr_html_()
-    assert "sleigh by leapfrog" in page and "parameter J of sleigh is -1" in page
+    assert "sleigh by leapfrog" in page and "parameter J of sleigh = -1" in page

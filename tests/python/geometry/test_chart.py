@@ -246,7 +246,7 @@ def test_choice_and_change(caplog):
     with caplog.at_level(logging.INFO, "dalembert"):
         other = chart.renewed([0, 18, 0])
     assert other.dependent == ("x",) and other.renewed([0, 17, 0]) is other
-    assert "change from z, whose condition is 18 here, to x" in caplog.text
+    assert "change from z (condition 18 here) to x" in caplog.text
     chosen = dal.Chart(particle, [0, 2, 0], dependent="z")  # by itself it takes x there
     again = pickle.loads(pickle.dumps(chosen))
     assert again.dependent == ("z",) and again.condition([0, 2, 0]) == chosen.condition([0, 2, 0])
@@ -300,7 +300,7 @@ def test_bad_arguments(call, words):
 
 def test_singular():
     particle = dal.systems.particle()
-    with pytest.raises(dal.SingularError, match="dependent coordinates x form a singular matrix"):
+    with pytest.raises(dal.SingularError, match="coordinates x .* form a singular matrix"):
         dal.Chart(particle, [0, 0, 0], dependent="x")
     chart = dal.Chart(particle, [0, 1, 0], dependent="x")
     with pytest.raises(dal.SingularError) as caught:

@@ -444,7 +444,7 @@ def test_refused_eps():
         ({}, ValueError, "t_end: needed with h = 'auto'"),
         ({"t_end": 1, "steps": 10}, ValueError, "steps = 10 has no effect with h = 'auto'"),
         ({"t_end": np.inf}, ValueError, "t_end = inf"),
-        ({"t_end": 1, "tolerance": 1e-15}, ValueError, "^tolerance = 1e-15: expected a number from 1e-14"),
+        ({"t_end": 1, "tolerance": 1e-15}, ValueError, "^tolerance = 1e-15: expected a number"),
         ({"t_end": 1, "tolerance": 0}, ValueError, "tolerance = 0"),
         ({"t_end": 1, "tolerance": 1}, ValueError, "^tolerance = 1: expected"),
         ({"t_end": 1, "tolerance": "low"}, ValueError, "tolerance = 'low'"),

@@ -284,7 +284,7 @@ def test_a_gradient_of_something_else_is_told_by_the_energy():
         )  # fmt: skip
 
     wrong = dal.convergence(system(1), "leapfrog", [0, 1, 0], [1, 1, 1])
-    assert "gradient may not be that of potential, see check" in wrong.text
+    assert "gradient may not belong to potential, see check" in wrong.text
     right = dal.convergence(system(2), "leapfrog", [0, 1, 0], [1, 1, 1])
     assert right.holds is True and "gradient" not in right.text
     for name in ("midpoint-nodes", "explicit"):
@@ -715,7 +715,7 @@ def test_bad_arguments_are_named(wrong, message):
 
 
 def test_data_off_D_and_missing_data_are_refused():
-    with pytest.raises(dal.NotOnConstraintError, match="^the initial data do not lie in D"):
+    with pytest.raises(dal.NotOnConstraintError, match="^the initial velocity violates"):
         dal.convergence(dal.systems.particle(), "midpoint", [0, 1, 0], [1, 1, 0])
     with pytest.raises(ValueError, match="q0"):
         dal.convergence(dal.System(mass=[1.0]), "midpoint")

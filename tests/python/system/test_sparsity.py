@@ -203,7 +203,7 @@ def test_forces_of_velocity():
     ]
     for run in runs[1:]:
         np.testing.assert_allclose(run.v, runs[0].v, rtol=0, atol=1e-13)
-    with pytest.raises(dal.ConvergenceError, match="try a smaller h"):
+    with pytest.raises(dal.ConvergenceError, match="a smaller h"):
         stiff = skates.systems(force=lambda t, q, v: -100 * v)[1]
         dal.integrate(stiff, "midpoint", *start, h=0.1, steps=20)
 
