@@ -28,8 +28,10 @@ case ${0##*/}:$* in
   meson:configure*) log "$@" ;;
   meson:setup*) log "$@" && mkdir -p "$2" && touch "$2/build.ninja" ;;
   meson:compile*) log begin && sleep 0.3 && log end ;;
-  meson:*--list*) ;;
-  meson:test*) "$DEV" build && log tested ;;
+  meson:*--list*nothing*) exit 1 ;;
+  meson:*--list*one* | meson:*--list*quick*) echo 'house - dalembert:one' ;;
+  meson:*--list*) printf '%s\n' 'house - dalembert:one' 'pages - dalembert:two' ;;
+  meson:test*) log "$@" && "$DEV" build && log tested ;;
 esac
 """
 
@@ -122,6 +124,18 @@ def test_two_at_once(clone, flock):
 def test_a_test_may_call_dev(clone, flock):
     assert dev(clone / "dev", "test")[0] == 0
     assert logged("begin|tested") == ["begin", "begin", "tested"]
+
+
+def test_which_tests(clone):
+    """Without a choice the quick ones; names and suites are looked for among all."""
+    for words, passed in {
+        ("-j", "1"): ["--setup", "quick", "-j", "1"], ("--full",): [], ("one",): ["one"],
+    }.items():  # fmt: skip
+        assert dev(clone / "dev", "test", *words)[0] == 0
+        assert logged("test[|](?!.*--list)")[-1].split("|")[5:] == passed
+    status, said = dev(clone / "dev", "test", "nothing", "--suite", "house")
+    assert status == 3 and "both that name and that suite: nothing --suite house" in said
+    assert typed(said).endswith("test --full --list")
 
 
 def test_killed(clone, flock):
