@@ -2,10 +2,10 @@
 A ball on a turntable
 =====================
 
-A ball that rolls on a turning table does not fly off: it goes round in a circle, with 2/7 of the
-table's rate if it is homogeneous.  On the table it draws loops.
+A ball that rolls on a rotating table moves in a circle, with 2/7 of the table's rate if it is
+homogeneous.  On the table it draws loops.
 
-The table turns by Omega, so that the constraints are affine, and the table does work::
+The table rotates with the rate Omega, so the constraints are affine, and the table does work::
 
     L = m (v_x^2 + v_y^2)/2 + J |omega|^2/2
     v_x = a omega_y - Omega y,     v_y = -a omega_x + Omega x
@@ -13,9 +13,9 @@ The table turns by Omega, so that the constraints are affine, and the table does
 The circle has the rate ``k Omega`` with ``k = J/(J + m a^2)``: 2/7 for a homogeneous ball with
 ``J = 2/5 m a^2``, and 2/5 for a hollow one with ``J = 2/3 m a^2`` (Neimark and Fufaev 1972).
 
-``python ball_on_turntable.py [PICTURE.png]`` prints for both balls the rate of the circle as the
-run shows it, how round it is, the error against the exact solution, the moving energy, which is
-conserved while the energy is not, and the residual of D.
+``python ball_on_turntable.py [PICTURE.png]`` prints for both balls the rate of the circle, its
+deviation from a circle, and the error against the exact solution.  It also prints the moving
+energy, which is conserved while the energy is not, and the residual of D.
 """
 
 import sys
@@ -32,7 +32,7 @@ q0, v0 = [0.35, 0.0, 0.0, 0.0, 0.0], [0.0, 0.45, 0.0, 0.0, 0.0]
 
 # %%
 # The runs end when the track on the table closes: the table has then turned 7 times, or 5, and the
-# ball has gone round twice.
+# ball has completed two circles.
 
 runs = {}
 for name, factor in balls.items():
@@ -62,8 +62,8 @@ for name, factor in balls.items():
         sys.exit("the moving energy was expected to be kept, and D to roundoff")
 
 # %%
-# On the left what one sees who stands beside the table, at every full turn of it.  The table turns
-# below the ball, and the track on it is the circle in coordinates that turn, until it closes.
+# Left: the view from beside the table, at every full turn of it.  The table rotates below the ball.
+# In rotating coordinates the circle becomes the track on the table, until it closes.
 
 figure, axes = plt.subplots(1, 3, figsize=(11.4, 4.2), layout="constrained")
 axes[0].set(xlabel="x (m)", ylabel="y (m)")
@@ -86,6 +86,6 @@ if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)
 
 # %%
-# As a film, from the room: the ball goes round 2 times while the table does 7 times.
+# A film in the frame of the room: the ball completes 2 circles while the table turns 7 times.
 
 dal.plot.animate(runs["homogeneous"], fps=12, seconds=10)

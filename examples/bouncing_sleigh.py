@@ -2,20 +2,20 @@
 A sleigh in a box
 =================
 
-The blade of a sleigh keeps it from slipping sideways, and the walls of a box throw it back: events
-with resets.
+The blade of a sleigh prevents sideways slip, and the walls of a box reflect it by events with
+resets.
 
-On the runner acts the blade's constraint; the box stands on an incline, x downhill::
+The blade constrains the sleigh; the box is on an incline, with x downhill::
 
     sin(theta) v_x - cos(theta) v_y = 0
 
-At a wall an impulse acts along the wall's normal and across the blade, so that the velocity after
-it lies in D again: it is the one before it, with the part towards the wall reversed, as far as D
-allows.  Both are solved for in the metric of the mass, so that the energy is kept.
+At a wall an impulse acts along the normal of the wall and across the blade, so that the velocity
+after it lies in D again.  It reverses the part of the velocity towards the wall, as far as D
+allows.  Both impulses are computed in the metric of the mass, so the energy is conserved.
 
-``python bouncing_sleigh.py [PICTURE.png]`` prints the walls in the order in which they were hit,
-how exactly the sleigh touches them, and what is kept: D to roundoff, and the energy, which neither
-blade nor walls change.
+``python bouncing_sleigh.py [PICTURE.png]`` prints the walls in the order of the impacts, the
+distance of the sleigh from them, and the conserved quantities.  D holds to roundoff; neither blade
+nor walls change the energy.
 """
 
 import sys
@@ -30,11 +30,11 @@ M = system.mass
 walls = {"left": (0, -1.0), "right": (0, 1.0), "bottom": (1, -1.0), "top": (1, 1.0)}
 
 # %%
-# What a wall does
-# ----------------
-# A reset takes the state in which a wall is met and returns the one that the run goes on with.
-# The normal of the wall is a covector; what is left of it in D, orthogonal in the metric M, is the
-# direction of the impulse.  A state that is not in D would be refused.
+# The reset at a wall
+# -------------------
+# A reset receives the state at a wall and returns the state from which the run continues.  The
+# normal of the wall is a covector; its component in D, orthogonal in the metric M, is the direction
+# of the impulse.  A state outside D would be refused.
 
 
 def bounce(coordinate):
@@ -60,8 +60,8 @@ def event(coordinate, at):
 # %%
 # The run
 # -------
-# The instant of a bounce is found by steps of the scheme itself, so the sleigh is at its wall to
-# roundoff, and in D.
+# The instant of an impact is computed by steps of the scheme itself, so the sleigh is at its wall
+# to roundoff, and in D.
 
 start = [0.0, 0.0, 0.2], [1.5 * np.cos(0.2), 1.5 * np.sin(0.2), 0.7]
 given = {"h": 0.02, "events": [event(*wall) for wall in walls.values()]}
@@ -86,8 +86,8 @@ if abs(run.q[:, :2]).max() > 1.0 + 1e-12:
 # %%
 # The motion
 # ----------
-# What is drawn of a state is a function of one's own: the sledge, its blade, whose middle leaves
-# the trail, and the box.  Move the slider:
+# A function returns the shapes to draw: the sledge, its blade, whose middle leaves the trail, and
+# the box.  Move the slider:
 
 draw = dal.plot.bodies
 sledge = 0.2 * np.array([(-0.6, -0.3), (0.3, -0.35), (0.8, 0), (0.3, 0.35), (-0.6, 0.3)])
@@ -106,9 +106,9 @@ def in_box(t, q, v):
 dal.plot.animate(run, in_box, fps=12, seconds=12, multipliers=False)
 
 # %%
-# The first bounces in one picture.  It is the middle of the blade that meets the walls.  There the
-# speed along the blade is reversed, as D allows no other; the sledge goes on turning as before, and
-# so comes back on another curve.
+# The first impacts in one picture.  The middle of the blade meets the walls.  There the speed along
+# the blade is reversed, because D allows no other direction.  The sledge rotates as before, and
+# therefore returns on another curve.
 
 first = dal.integrate(system, "leapfrog-kl6", *start, t_end=8.0, **given)
 ax = dal.plot.snapshots(first, in_box, count=15)

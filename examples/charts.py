@@ -2,15 +2,15 @@
 D in coordinates
 ================
 
-A run between its rows, and a curve from one state to another, by charts of D.
+Charts of D give states between the rows of a run, and a curve from one state to another.
 
-A Chaplygin sleigh turns.  Its run is stored every 0.4 units of time; between the rows ``run(t)``
-goes through coordinates xi = (q, v_independent) and so stays in D to roundoff, where a cubic
-through the same data leaves it.  The blade turns out of the coordinates that serve at first, so
-that the chart changes on the way.
+A Chaplygin sleigh turns.  Its run is stored every 0.4 units of time.  Between the rows ``run(t)``
+interpolates coordinates xi = (q, v_independent) and therefore stays in D to roundoff.  A cubic
+through the same data leaves D.  The blade turns out of the initial coordinates, so the chart
+changes on the way.
 
-``python charts.py [PICTURE.png]`` prints how far each way of interpolating leaves D, and its error
-against the exact motion.
+``python charts.py [PICTURE.png]`` prints the distance from D and the error against the exact motion
+for each interpolation.
 """
 
 import sys

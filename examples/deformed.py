@@ -2,17 +2,17 @@
 A deformed constraint
 =====================
 
-On a deformed constraint, which is no subspace of the velocities, the reaction does work, and the
-energy changes by exactly that.
+On a deformed constraint, which is not a subspace of the velocities, the reaction does work.  The
+energy changes by exactly this work.
 
-A free particle, on D and on what becomes of it when a product of velocities is added::
+A free particle, on D and on a deformation of D by a product of velocities::
 
     D        v_z - y v_x = 0
     D_delta  v_z - y v_x + delta v_x v_y = 0
 
-On D the reaction does no work and the energy is constant.  On D_delta the reaction along
-d(phi)/dv has the power lambda delta v_x v_y: the energy changes, with delta, by what the reaction
-does.  For delta = h/2, D_delta is the D_eps in which the midpoint scheme with kept nodes stays.
+On D the reaction does no work and the energy is constant.  On D_delta the reaction along d(phi)/dv
+has the power lambda delta v_x v_y, and the energy changes by its work.  For delta = h/2, D_delta is
+the D_eps in which the midpoint scheme with kept nodes stays.
 
 ``python deformed.py [PICTURE.png]`` prints the change of the energy, the work of the reaction, and
 the largest ``|phi|``, for several delta.
@@ -65,7 +65,7 @@ for delta in deltas:
 
 # %%
 # The curves are the energy and the power of the reaction; the circles are differences of the
-# energy, which has to have this power as its rate.
+# energy, which must agree with this power.
 
 figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.8), layout="constrained")
 for (delta, (run, gain, power)), colour, line in zip(found.items(), COLOURS, LINES):
@@ -82,11 +82,11 @@ for ax in axes:
     ax.set_xlabel("time t")
 
 # %%
-# How D bends
-# -----------
-# Seen as a set of (v_x, v_y, v_z - y v_x), D is a plane at every place, and D_delta one and the
-# same saddle: it still goes through v = 0, but sums of its velocities leave it.  The lines on it
-# are the velocities of two runs, delta = 0 and 0.2, from the dots on.
+# The shape of D
+# --------------
+# As a set of (v_x, v_y, v_z - y v_x), D is a plane at every place, and D_delta is always the same
+# saddle.  The saddle contains v = 0, but sums of its velocities leave it.  The lines on it are the
+# velocities of two runs, delta = 0 and 0.2, starting at the dots.
 
 # sphinx_gallery_thumbnail_number = 2
 side = np.linspace(-1.5, 1.5, 25)

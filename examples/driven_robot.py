@@ -2,20 +2,18 @@
 A robot finds its way
 =====================
 
-A robot on two driven wheels finds its way by a feedback law that sets the torques, and stops at a
-wall.
+A robot on two driven wheels follows a feedback law for its torques, and stops at a wall.
 
 The wheels roll without slipping, in SymPy's formulas::
 
     L = m (v_x^2 + v_y^2)/2 + I v_theta^2/2 + J (v_left^2 + v_right^2)/2
     both wheels:  v_forward -+ b v_theta = r v_left, r v_right
 
-The torques of the wheels are inputs, constant over 10 steps: a computer looks at the state 100
-times a second and aims at a target behind the wall.  The run ends at the wall, in D to roundoff.
+The torques of the wheels are inputs, constant over 10 steps: a computer reads the state 100 times a
+second and steers towards a target behind the wall.  The run ends at the wall, in D to roundoff.
 
-``python driven_robot.py [PICTURE.png]`` prints where the robot hits the wall, and the energy
-balance: the work of the torques is what the energy has changed by, and the wheels' constraints do
-none.
+``python driven_robot.py [PICTURE.png]`` prints the point of impact and the energy balance: the
+energy changes by the work of the torques, and the constraints of the wheels do no work.
 """
 
 import sys
@@ -50,15 +48,15 @@ robot = dal.System.from_sympy(
 # %%
 # The controller
 # --------------
-# It is a function of (t, q, v), called once for every ten steps; between, its torques are held, as
-# the amplifiers of a real robot hold them.
+# It is a function of (t, q, v), called once for every ten steps.  In between, its torques are held,
+# as in the amplifiers of a real robot.
 
 target, wall = np.array([4.0, 3.0]), 3.0
 h, hold, t_end = 1e-3, 10, 20.0
 
 
 def feedback(t, q, v):
-    """Return the torques that turn the robot towards the target and let it drive at 0.8 m/s."""
+    """Return the torques that turn the robot towards the target at 0.8 m/s."""
     aim = np.arctan2(*(target - q[:2])[::-1])
     turn = (aim - q[2] + np.pi) % (2 * np.pi) - np.pi
     speed = v[0] * np.cos(q[2]) + v[1] * np.sin(q[2])
@@ -69,12 +67,12 @@ def feedback(t, q, v):
 # %%
 # The run
 # -------
-# The event ends it where x reaches the wall; the last state is that of the instant, not of the
-# step after it.
+# An event ends the run when x reaches the wall.  The last state is the state at that instant, not
+# at the end of the step.
 
 hit = dal.Event(x - wall, direction=1, terminal=True)
 run = dal.integrate(robot, "leapfrog", h=h, t_end=t_end, inputs=feedback, hold=hold, events=[hit])
-# The torques are constant over a step: their work in it is that times the turn of the wheels.
+# The torques are constant over a step: their work in it is torque times rotation of the wheels.
 steps = np.minimum(np.arange(len(run.t) - 1) // hold, len(run.inputs) - 1)
 turned = np.diff(run.q[:, 3:], axis=0)
 work = np.concatenate([[0.0], np.cumsum(np.sum(run.inputs[steps] * turned, axis=1))])
@@ -85,13 +83,13 @@ print(f"wheels roll to {run.residual.max():.1e}")
 if not (run.status == 1 and abs(run.q[-1, 0] - wall) < 1e-12 and run.residual.max() < 1e-14):
     sys.exit("the run was expected to end at the wall, in D to roundoff")
 if not error < 1e-4 * work[-1]:
-    sys.exit("the work of the torques was expected to be what the energy changes by")
+    sys.exit("expected the change of the energy to equal the work of the torques")
 
 # %%
-# The way to the wall
-# -------------------
-# The robot from above, its hull and its wheels.  The trails are where the wheels have rolled: the
-# length of each is r times the angle by which its wheel has turned.
+# The path to the wall
+# --------------------
+# The robot from above, with its hull and its wheels.  The trails mark where the wheels have rolled:
+# the length of each is r times the angle by which its wheel has turned.
 
 draw = dal.plot.bodies
 radius = 0.2
@@ -118,13 +116,13 @@ dal.plot.animate(run, seen, fps=12, seconds=6, multipliers=False)
 
 ax = dal.plot.snapshots(run, seen, count=8)
 figure = ax.figure
-ax.set_title("the way to the wall; lengths in m", loc="left", fontsize="medium")
+ax.set_title("the path to the wall; lengths in m", loc="left", fontsize="medium")
 note = ax.annotate("target", target, (0, -16), textcoords="offset points", ha="center")
 
 # %%
 # The inputs
 # ----------
-# The torques that the feedback law has asked for, and with them the balance of the energy:
+# The torques of the feedback law, and the energy balance with them:
 
 other, (torque, balance) = plt.subplots(2, 1, figsize=(7.0, 5.0), sharex=True, layout="constrained")
 for k, name in enumerate(("left", "right")):

@@ -2,19 +2,19 @@
 A scheme as a flow
 ==================
 
-The steps of a scheme lie on a solution of a differential equation near the one that it solves,
-with a right hand side of period h; how near it is measures the order.
+The steps of a scheme lie on a solution of a perturbed differential equation.  The perturbation has
+the period h, and its size measures the order.
 
 One step of a scheme of order p is the time-h map of ::
 
     xidot = f(xi) + h^p g(t/h, xi)
 
 in coordinates xi of D, with a periodic g that stays bounded as h -> 0.  For the particle by
-midpoint, p = 2: the curves of ``|g|`` over one period nearly agree for three steps h.  Of p - 1, p
-and p + 1 in the formula, only with the true p its maximum neither vanishes nor grows with h -> 0.
+midpoint, p = 2: the curves of ``|g|`` over one period nearly agree for three steps h.  With p - 1
+or p + 1 in the formula, the maximum of ``|g|`` vanishes or grows with h -> 0; only p gives a limit.
 
-``python embedding.py [PICTURE.png]`` prints the maxima, the measured order, and how far the time-h
-map is from the scheme.
+``python embedding.py [PICTURE.png]`` prints the maxima, the measured order, and the distance
+between the time-h map and the scheme.
 """
 
 import sys
@@ -28,8 +28,8 @@ from dalembert.show.plot import COLOURS
 # %%
 # A curve through the steps
 # -------------------------
-# A particle in a harmonic potential, with steps so large that one sees what they do.  The curve is
-# smooth, a motion in D, and goes through each state that the scheme computes.
+# A particle in a harmonic potential, with steps so large that they are visible.  The curve is
+# smooth, a motion in D, and contains each state that the scheme computes.
 
 oscillator, h, steps = dal.systems.particle_oscillator(), 0.7, 10
 flow = dal.embedding(oscillator, "leapfrog", h=h)
@@ -47,8 +47,8 @@ if abs(curve[::40, :3] - made.q).max() > 1e-10:
     sys.exit("the curve was expected to go through the states of the scheme")
 
 # %%
-# How large g is
-# --------------
+# The size of g
+# -------------
 # The maximum of ``|g|`` over a period, for nine steps and three p in the formula:
 
 particle = dal.systems.particle()
@@ -83,7 +83,7 @@ if miss > 1e-10:
     sys.exit("the time-h map was expected to be the scheme")
 
 # %%
-# On the left the shape of g over a period; on the right the three p.
+# Left: the shape of g over a period.  Right: the three values of p.
 
 study, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), layout="constrained")
 embedding.plot(hs=[0.2, 0.1, 0.05], ax=axes[0])

@@ -2,12 +2,12 @@
 An environment for learning
 ===========================
 
-A robot as an environment for reinforcement learning, with reset and step as Gymnasium has them,
-whose episodes are runs of the integrator, bit for bit.
+A robot as an environment for reinforcement learning, with the ``reset`` and ``step`` of Gymnasium.
+Its episodes are runs of the integrator, bit for bit.
 
-The class has the two methods of a ``gymnasium.Env`` and needs nothing but dalembert and NumPy.  An
-agent pushes and turns a cart on a blade, which cannot slip sideways, towards the origin; an action
-lasts for 20 steps of the scheme.  An episode can be saved in the middle and gone on with.
+The class has the two methods of a ``gymnasium.Env`` and needs only dalembert and NumPy.  An agent
+pushes and turns a cart on a blade, which cannot slip sideways, towards the origin.  An action lasts
+for 20 steps of the scheme.  An episode can be saved at any time and resumed.
 
 ``python environment.py [PICTURE.png]`` prints the rewards of some episodes with a simple rule, and
 checks that each episode is, bit for bit, the run with the same inputs.
@@ -42,8 +42,8 @@ def make_cart():
 # %%
 # The environment
 # ---------------
-# A `dalembert.Stepper` is the state of a run, and makes steps with the inputs that it is given.
-# It is made once; what an agent calls a million times is only its ``step``.
+# A `dalembert.Stepper` holds the state of a run, and computes steps with given inputs.  It is
+# created once; an agent calls only its ``step``, which is cheap, a million times.
 
 
 class CartEnv:
@@ -56,7 +56,7 @@ class CartEnv:
         self.stepper = None
 
     def reset(self, seed=None):
-        """Begin an episode somewhere, at rest; return the observation and what else is known."""
+        """Begin an episode at a random state, at rest; return the observation and the info."""
         source = np.random.default_rng(seed)
         q = np.array([*source.uniform(-2, 2, 2), source.uniform(-np.pi, np.pi)])
         if self.stepper is None:
@@ -66,7 +66,7 @@ class CartEnv:
         return self.stepper.x, {}
 
     def step(self, action):
-        """Make an action; return observation, reward, terminated, truncated, info."""
+        """Apply an action; return observation, reward, terminated, truncated, info."""
         self.stepper.step(np.clip(action, -1.0, 1.0), steps=self.actions_last)
         self.actions += 1
         x = self.stepper.x
@@ -77,12 +77,12 @@ class CartEnv:
 # %%
 # An agent
 # --------
-# In place of a network that has been trained: a rule that drives to the origin, forwards or
-# backwards, whichever is nearer.
+# In place of a trained network, a rule drives to the origin, forwards or backwards, whichever is
+# shorter.
 
 
 def rule(x):
-    """Return an action: turn towards the origin, and drive as far as that is ahead."""
+    """Return an action: turn towards the origin, and drive in proportion to its distance ahead."""
     ahead = -(np.cos(x[2]) * x[0] + np.sin(x[2]) * x[1])
     beside = np.sin(x[2]) * x[0] - np.cos(x[2]) * x[1]
     speed = np.cos(x[2]) * x[3] + np.sin(x[2]) * x[4]
@@ -93,7 +93,7 @@ def rule(x):
 # %%
 # Episodes
 # --------
-# What the agent has done is a table of inputs, and the run with this table has the bits of the
+# The actions of the agent are a table of inputs, and the run with this table has the bits of the
 # episode.
 
 env, runs = CartEnv(), []
@@ -118,14 +118,14 @@ for seed in range(5):
 # %%
 # The longest episode
 # -------------------
-# Since an episode is a run, all that is known of runs can be had of it, a film for instance.
+# Since an episode is a run, every function for runs applies to it, for instance a film.
 
 draw = dal.plot.bodies
 outline = np.array([(-0.16, -0.1), (0.12, -0.1), (0.2, 0.0), (0.12, 0.1), (-0.16, 0.1)])
 
 
 def cart(t, q, v):
-    """Return the cart at q, and the place where it is to go."""
+    """Return the shapes of the cart at q, and of its target."""
     cos, sin = np.cos(q[2]), np.sin(q[2])
     return [
         draw.circle((0, 0), 0.05),
@@ -137,7 +137,7 @@ def cart(t, q, v):
 dal.plot.animate(max(runs, key=len), cart, fps=12, seconds=4, multipliers=False)
 
 # %%
-# All of them: the later, the darker.  Some carts drive backwards.
+# All episodes; later ones are darker.  Some carts drive backwards.
 
 figure, ax = plt.subplots(figsize=(6.0, 5.4), layout="constrained")
 for seed, run in enumerate(runs):

@@ -2,17 +2,17 @@
 Exact discrete constraints
 ==========================
 
-A pair of places that a sleigh connects in time h is not quite a pair that a scheme connects: the
-exact discrete constraint beside the discretized one.
+A sleigh connects pairs of positions in time h, and a scheme connects slightly different pairs.
+This example compares the exact discrete constraint with the discretized one.
 
 For the Chaplygin sleigh, and the schemes of the family rho^beta::
 
     D_d^E = {(q0, q(h)) : v0 in D}           pairs on solutions in D
     D_d   = {mu(g) (q1 - q0)/h = 0}          with g = (1 - beta) q0 + beta q1
 
-Neither contains the other.  How far a pair of D_d^E is from D_d is ``|phi_d|``; how far a pair of
-D_d is from D_d^E is ``|mu (q1 - q(h))/h|``, where q(h) comes from the velocity in D at q0 that
-leads as close to q1 as D allows.  Both are O(h), and O(h^2) for beta = 1/2.
+Neither set contains the other.  The distance of a pair of D_d^E from D_d is ``|phi_d|``.  The
+distance of a pair of D_d from D_d^E is ``|mu (q1 - q(h))/h|``; here q(h) follows from the velocity
+in D at q0 that leads as close to q1 as D allows.  Both are O(h), and O(h^2) for beta = 1/2.
 
 ``python exact_constraints.py [PICTURE.png]`` prints both distances for several h and beta.
 """
@@ -29,11 +29,11 @@ from dalembert.show.plot import COLOURS
 sleigh = dal.systems.sleigh()
 
 # %%
-# Where the sleigh may be
-# -----------------------
-# From one place q0 the velocities of D lead to a surface in the space of (x, y, theta).  Here are
-# its sections with planes in which the sleigh has turned by so much in h = 1: the places where its
-# centre of mass may be then.  The sleigh itself is drawn at q0.
+# Positions that the sleigh can reach
+# -----------------------------------
+# From one position q0 the velocities of D lead to a surface in the space of (x, y, theta).  The
+# picture shows its sections with planes of a given rotation in h = 1: the possible positions of the
+# centre of mass at that time.  The sleigh itself is drawn at q0.
 
 a = sleigh.parameters["a"]
 rates = np.linspace(-4.0, 4.0, 81)
@@ -63,8 +63,8 @@ if not (np.diff(ends[:, :, 2]) > 0).all():
     sys.exit("the faster it turns at first, the farther the sleigh was expected to turn")
 
 # %%
-# How far apart they are
-# ----------------------
+# The distances
+# -------------
 
 q0, v0 = sleigh.q0, sleigh.v0
 betas = [0.0, 0.5, 1.0]
@@ -104,7 +104,7 @@ for title, values in found.items():
         sys.exit(f"slopes {expected} were expected")
 
 # %%
-# The steep curve of either picture is that of beta = 1/2.
+# The steeper curve in each picture belongs to beta = 1/2.
 
 study, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), sharey=True, layout="constrained")
 for ax, (title, values) in zip(axes, found.items()):

@@ -2,8 +2,8 @@
 A coin that rolls and leans
 ===========================
 
-A disc rolls on a table and might fall over: it leans into its curve, wobbles and comes up again,
-while the point of contact never slips.
+A disc rolls on a table: it leans into its curve, wobbles and rises again, while the point of
+contact never slips.
 
 The coordinates are x and y below the centre, the yaw alpha, the lean beta and the spin gamma
 (O'Reilly 1996)::
@@ -13,8 +13,8 @@ The coordinates are x and y below the centre, the yaw alpha, the lean beta and t
     v_x - r omega cos(alpha) - r v_beta cos(beta) sin(alpha) = 0
     v_y - r omega sin(alpha) + r v_beta cos(beta) cos(alpha) = 0
 
-``python falling_disc.py [PICTURE.png]`` prints between which angles the disc leans, how far the run
-is from a solution of Newton's and Euler's equations, and how well energy and constraint are kept.
+``python falling_disc.py [PICTURE.png]`` prints the range of the lean, the distance of the run from
+a solution of Newton's and Euler's equations, and the errors of energy and constraint.
 """
 
 import sys
@@ -30,8 +30,8 @@ A, C = m * r**2 / 4, m * r**2 / 2  # a homogeneous disc
 disc = dal.systems.rolling_disc(m=m, r=r, A=A, C=C, g=g)
 
 # %%
-# The disc starts nearly upright with some turning and spinning.  Of the velocities v_x and v_y we
-# know only that the disc rolls; ``consistent`` finds them.
+# The disc starts nearly upright, with some yaw and spin.  The velocities v_x and v_y follow from
+# the rolling constraint; ``consistent`` computes them.
 
 q0 = [0.0, 0.0, 0.0, 0.1, 0.0]
 v0 = disc.consistent(q0, [0.0, 0.0, 1.5, 0.0, 4.0], keep=["alpha", "beta", "gamma"])
@@ -42,9 +42,10 @@ print(f"the disc leans by {lean.min():.3f} to {lean.max():.3f} degrees")
 # %%
 # The same without angles
 # -----------------------
-# Newton's and Euler's equations of the centre c, the unit normal e of the disc and the angular
-# velocity, with the force at the contact, which is what rolling asks for.  They share neither
-# coordinates nor multipliers with the run, and are solved by a method of order 8 with small steps.
+# Newton's and Euler's equations are formulated for the centre c, the unit normal e of the disc and
+# the angular velocity.  The force at the contact follows from the rolling condition.  They share
+# neither coordinates nor multipliers with the run, and are solved by a method of order 8 with small
+# steps.
 
 
 def contact(e, rate=None):
@@ -90,7 +91,7 @@ if not (error < 1e-8 and np.ptp(run.energy) < 1e-9 and run.residual.max() < 1e-1
     sys.exit("expected the solution of Newton and Euler, the energy, and D to roundoff")
 
 # %%
-# The disc on its way, and its lean over time with that of the other solution as dots.
+# The path of the disc, and its lean over time; the dots are the other solution.
 
 figure, (space, ax) = plt.subplots(
     2, 1, figsize=(7.6, 6.6), height_ratios=(3.2, 1), layout="constrained"

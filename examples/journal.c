@@ -1,6 +1,5 @@
-/* A run that survives its process: there is a journal, or there will be one.  The first life of it
- * ends too early, as if it had been killed; the second goes on, to the bits of a run that was
- * never stopped.
+/* A run that survives its process, because it keeps a journal.  The first process ends too early, as
+ * if it had been killed; the second resumes the run, to the bits of an uninterrupted one.
  *
  *     cc journal.c $(pkg-config --cflags --libs dalembert) -o journal && ./journal */
 #include <dalembert.h>
@@ -15,7 +14,7 @@ static int fail(const char *text)
     return 1;
 }
 
-/* In parts of so many steps: after each, what there is stands in the file. */
+/* In parts of so many steps; after each part the journal is written. */
 static int go(dal_run *run, size_t parts)
 {
     int status = DAL_SUCCESS;
@@ -33,7 +32,7 @@ int main(void)
     if (dal_system_builtin(&system, "sleigh", NULL, NULL, 0, &error)
         || dal_scheme_find(&scheme, "leapfrog", &error)) return fail(error.text);
     dal_system_state(system, x);
-    remove("sleigh.dal"); /* that of a run before this one */
+    remove("sleigh.dal"); /* left by a previous run */
 
     for (int life = 0; life < 2; life++) { /* the first one ends too early */
         dal_stepper *stepper;

@@ -2,19 +2,19 @@
 Which constraint is kept
 ========================
 
-A scheme keeps one constraint to roundoff: D where its nodes are moved, D_eps where they are kept;
-what looks like a violated constraint is another one.
+A scheme keeps one constraint to roundoff: D if its nodes are moved, D_eps if they are kept.  A
+constraint that seems to be violated is a different one.
 
-Both are kept by the same steps, seen at different nodes::
+The same steps satisfy both, evaluated at different nodes::
 
     D      mu(q) v = 0
     D_eps  mu(q - (1 - beta) h v) v = 0      with beta = 1/2 here
 
-The particle in a harmonic potential, by midpoint: with moved nodes it stays in D to roundoff, and
+The particle in a harmonic potential, by midpoint.  With moved nodes it stays in D to roundoff, and
 O(h) away from D_eps; with kept nodes it stays in D_eps to roundoff, and O(h) away from D.  Neither
 drifts.
 
-``python kept_nodes.py [PICTURE.png]`` prints the largest ``|phi|`` of either constraint over a run,
+``python kept_nodes.py [PICTURE.png]`` prints the largest ``|phi|`` of both constraints over a run,
 for two steps h.
 """
 
@@ -35,7 +35,7 @@ schemes = {"midpoint": None, "midpoint-nodes": "shift"}
 def run(scheme, h):
     """Return the times, phi of D and phi of D_eps, in a run from the same data in D.
 
-    h is large, so that one sees D_eps: it is not checked.
+    h is large, to make D_eps visible, so its size is not checked.
     """
     found = dal.integrate(
         system, scheme, h=h, t_end=t_end, initial=schemes[scheme], check_h=False
@@ -56,8 +56,8 @@ for (scheme, h), (_, residuals) in runs.items():
 # %%
 # Two axes of a cross
 # -------------------
-# Each dot is a state, one of every four: how far from D and how far from D_eps.  Moved nodes lie on
-# one axis and kept nodes on the other, to roundoff, and not on both; halving h halves the cross.
+# Each dot is one of every four states: its distance from D and from D_eps.  Moved nodes lie on one
+# axis and kept nodes on the other, to roundoff.  Half the step makes the cross half as large.
 
 figure, axes = plt.subplots(1, 2, figsize=(8, 4.2), sharex=True, sharey=True, layout="constrained")
 for ax, h in zip(axes, steps):
@@ -76,8 +76,8 @@ for ax in axes:
 # %%
 # Over time
 # ---------
-# The same for the larger step, with the sizes on a logarithmic axis.  An exact zero has no place
-# there: it stands at 1e-17.
+# The same for the larger step, with a logarithmic axis.  An exact zero cannot be shown there: it is
+# drawn at 1e-17.
 
 names = [r"$D$:  $\mu(q)\,v$", r"$D_\varepsilon$:  $\mu(q - h v/2)\,v$"]
 over_time, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), sharey=True, layout="constrained")

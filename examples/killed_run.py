@@ -1,16 +1,16 @@
 """
-A run that is killed
-====================
+A killed run
+============
 
-A run that is killed in the middle goes on from its journal as if nothing had been: the end has the
-bits of the run that nobody has killed.
+A run that is killed resumes from its journal.  The end is bitwise identical to an uninterrupted
+run.
 
-A robot drives by a feedback law and is thrown back by a wall; its run keeps a journal.  A child
-process is killed in the middle, as by ``kill -9``, a power cut of the batch system, or no memory.
-What it has left is read and drawn, and gone on with.
+A robot drives by a feedback law and is reflected by a wall; its run keeps a journal.  A child
+process is killed in the middle, as by ``kill -9``, a power cut, a batch system, or lack of memory.
+Its journal is read, drawn and resumed.
 
-``python killed_run.py [PICTURE.png]`` prints how far the killed run was, and whether the one that
-goes on has the bits of the whole one.
+``python killed_run.py [PICTURE.png]`` prints the length of the killed run, and whether the resumed
+run has the bits of the uninterrupted one.
 """
 
 import os
@@ -57,8 +57,8 @@ def feedback(t, q, v):
 # %%
 # The run that will be killed
 # ---------------------------
-# The journal is an argument of `dalembert.integrate`: a file that gets, some times a second, all
-# that the run stores.  The script starts itself once more, as the child that runs this.
+# The journal is an argument of `dalembert.integrate`: a file to which the stored rows are written
+# several times a second.  The script starts itself once more, as the child that computes this run.
 
 given = {"inputs": feedback, "events": [wall]}
 options = {"h": h, "steps": steps, "stride": 5, "hold": 25}
@@ -68,15 +68,15 @@ if len(sys.argv) > 2 and sys.argv[1] == "--child":  # this is the run that will 
     sys.exit()
 
 # %%
-# Kill it, and go on
+# Kill and resume it
 # ------------------
-# The file has no callbacks in it: they are given again.
+# The file contains no callbacks, so they are passed again.
 
 with tempfile.TemporaryDirectory() as folder:
     path = os.path.join(folder, "run.dal")
     child = subprocess.Popen([sys.executable, sys.argv[0], "--child", path])
     left = None
-    while left is None or left.t[-1] < 4.0:  # anybody may read it meanwhile
+    while left is None or left.t[-1] < 4.0:  # the journal can be read during the run
         time.sleep(0.05)
         if child.poll() is not None:
             sys.exit("the run was expected to take longer")
@@ -87,15 +87,15 @@ with tempfile.TemporaryDirectory() as folder:
     left = dal.load(path, robot)
     print(f"killed: {left.message.split(', from')[0]}")
     run = dal.resume(path, robot, **given)
-    t_left, q_left = left.t.copy(), left.q.copy()  # the file goes
+    t_left, q_left = left.t.copy(), left.q.copy()  # the file will be removed
 whole = dal.integrate(robot, "leapfrog", **options, **given)
 same = np.array_equal(run.x, whole.x) and np.array_equal(run.inputs, whole.inputs)
-print(f"gone on: {run.message}, {len(run.t_events[0])} times at the wall; the same bits: {same}")
+print(f"resumed: {run.message}, {len(run.t_events[0])} times at the wall; the same bits: {same}")
 if not (same and len(t_left) < len(run.t) and np.array_equal(q_left, run.q[: len(q_left)])):
     sys.exit("expected the bits of the run that was never killed")
 
 # %%
-# What the killed process has left, and what was made of it:
+# The part of the killed process, and the complete run:
 
 draw = dal.plot.bodies
 

@@ -2,10 +2,10 @@
 A band, or a drift
 ==================
 
-Over long times a symmetric scheme keeps the energy in a band if the motion is reversible, and lets
-it drift away if a term is not.
+Over long times a symmetric scheme keeps the energy in a band if the motion is reversible; otherwise
+the energy drifts.
 
-The particle with ``dz = y dx`` hangs on springs.  A motion run backwards is then a motion again.
+The particle with ``dz = y dx`` is held by springs.  Run backwards, its motion is a motion too.
 With a gyroscopic term, which is linear in the velocity, it is not::
 
     L = (v_x^2 + v_y^2 + v_z^2)/2 - (x^2 + 2 y^2 + 3/2 z^2)/2  [+ x^2 v_z],    v_z = y v_x
@@ -31,8 +31,8 @@ springs = (x**2 + 2 * y**2 + sp.Rational(3, 2) * z**2) / 2
 terms = {"reversible": 0, "gyroscopic": x**2 * z.d}
 
 # %%
-# Symmetric schemes of order 2, 6 and 8, and for comparison the adaptive reference, which has no
-# such property: its error is small because its steps are.
+# Symmetric schemes of order 2, 6 and 8.  The adaptive reference is shown for comparison: it is not
+# symmetric, and its error is small because its steps are.
 
 schemes = {"leapfrog": 0.1, "leapfrog-kl6": 0.25, "leapfrog-kl8": 0.25, "reference": 0.25}
 runs = {}
@@ -67,10 +67,10 @@ for name, term in terms.items():
             sys.exit("the energy was expected to drift")
 
 # %%
-# Above, the motion by ``leapfrog`` in the plane of x and z.  Without the gyroscopic term the orbit
-# after a long time lies where it lay at first; with it the orbit has grown by the energy that came
-# from nowhere.  Below, the largest error of the energy so far: level in a band, and in proportion
-# to the time in a drift.  A higher order makes the drift small, and does not stop it.
+# Above: the motion by ``leapfrog`` in the plane of x and z.  Without the gyroscopic term the late
+# orbit coincides with the early one; with it the orbit grows by the spurious energy.  Below: the
+# largest error of the energy so far.  It is constant in a band, and proportional to time in a
+# drift.  A higher order reduces the drift, but does not remove it.
 
 figure, axes = plt.subplots(
     2, 2, sharex="row", sharey="row", figsize=(8.6, 6.8), layout="constrained"

@@ -2,16 +2,16 @@
 A thousand skates
 =================
 
-A thousand skates in a row on springs, 3000 coordinates and 1000 constraints: a step takes time and
-memory in proportion to the number of skates.
+A thousand skates in a row on springs have 3000 coordinates and 1000 constraints.  A step takes time
+and memory in proportion to the number of skates.
 
-Each blade touches its own three coordinates x, y and heading, and the system says so::
+Each blade constrains only its own coordinates x, y and heading, and the sparsity says so::
 
     -sin(heading_k) v_x_k + cos(heading_k) v_y_k = 0,        k = 1, ..., 1000
     V = sum_k (distance of skates k and k + 1  -  1)^2/2
 
-``python many_skates.py [PICTURE.png]`` prints the time of a step, the residual of D, and how much
-the energy changes.
+``python many_skates.py [PICTURE.png]`` prints the time of a step, the residual of D, and the change
+of the energy.
 """
 
 import sys
@@ -24,10 +24,10 @@ from matplotlib.collections import LineCollection
 import dalembert as dal
 
 # %%
-# The skates, and which entries of mu are theirs
-# ----------------------------------------------
-# Row k of mu has entries in the three columns of skate k.  ``SPARSITY`` says so once, and ``forms``
-# and the derivative of mu v return these entries alone, in the same order.
+# The skates, and the entries of mu
+# ---------------------------------
+# Row k of mu has entries in the three columns of skate k.  ``SPARSITY`` lists them, and ``forms``
+# and the derivative of mu v return only these entries, in the same order.
 
 COUNT = 1000
 OWN = np.arange(3 * COUNT).reshape(COUNT, 3)  # the coordinates x, y, heading of each skate
@@ -46,7 +46,7 @@ def forms_velocity_derivative(q, v):
 
 
 def springs(q):
-    """Return the vectors between neighbours and how much longer than 1 they are."""
+    """Return the vectors between neighbours, and the extension of the springs beyond length 1."""
     d = np.diff(q[OWN[:, :2]], axis=0)
     return d, np.hypot(*d.T) - 1
 
@@ -65,7 +65,7 @@ def gradient(q):
 
 
 # %%
-# The mass is given as a diagonal; the matrices of a step are then as sparse as mu is.
+# The mass is given as a diagonal; the matrices of a step are then as sparse as mu.
 
 skates = dal.System(
     mass=np.ones(3 * COUNT),
@@ -80,7 +80,7 @@ skates = dal.System(
 # %%
 # A run
 # -----
-# All glide along the row, each a little aside of it, and all turn to the left.
+# All skates glide along the row, in slightly different directions, and all turn to the left.
 
 heading = 0.3 * np.sin(np.arange(COUNT))
 q0 = np.stack([np.arange(COUNT), 0 * heading, heading], axis=1).ravel()
@@ -95,8 +95,7 @@ if not (abs(run.residual).max() < 1e-15 and np.ptp(run.energy) < 1e-4 * run.ener
     sys.exit("expected D to roundoff, and the energy to a part in 10000")
 
 # %%
-# The first twelve of them: their tracks, and the row at five instants, blades and the springs
-# between them.
+# The first twelve skates: their tracks, and the row at five instants, with blades and springs.
 
 figure, ax = plt.subplots(figsize=(9.0, 3.8), layout="constrained")
 first = OWN[:12]

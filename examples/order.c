@@ -1,11 +1,10 @@
-/* order.c - the order of a scheme, measured: step-size refinement on the knife edge on an incline.
+/* order.c - measures the order of a scheme by step-size refinement on the knife edge on an incline.
  *
  *     L = m (v_x^2 + v_y^2)/2 + J v_theta^2/2 + m g x,   sin(theta) v_x - cos(theta) v_y = 0
  *     the default initial data of the built-in system; t from 0 to 1
  *
- * Prints, for each step size, the errors of q, v and of the multiplier lambda(q, v) at t = 1 and
- * the worst residual of D; then the orders (p, s) beside what the scheme promises, and
- * the verdict.  p and s are slopes of the errors of one step, minus 1.
+ * Prints for each step size the errors of q, v and of the multiplier lambda(q, v) at t = 1, and the
+ * worst residual of D.  Then come the orders (p, s), the promised ones, and the verdict.  p and s are slopes of the errors of one step, minus 1.
  *
  *     cc order.c $(pkg-config --cflags --libs dalembert) -o order && ./order [SCHEME]
  */

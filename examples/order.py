@@ -2,18 +2,18 @@
 The order of a scheme
 =====================
 
-The order of a scheme, measured: as the step is refined the errors shrink with a power of it, and
-that is compared with what the scheme promises.
+The order of a scheme is measured: as the step is refined, the errors decrease with a power of it,
+which is compared with the promised order.
 
 The knife edge on an incline, from the default initial data of the built-in system, for t from 0
 to 1::
 
     L = m (v_x^2 + v_y^2)/2 + J v_theta^2/2 + m g x,   sin(theta) v_x - cos(theta) v_y = 0
 
-``python order.py [SCHEME [PICTURE.png]]`` prints, for each step size, the errors of q, v and of the
-multiplier lambda(q, v) at t = 1 and the worst residual of D; then the orders (p, s)
-beside what the scheme promises, and the verdict.  p and s are slopes of the errors of one step,
-minus 1.  ``print(study)`` prints a table of the same, and ``examples/order.c`` this one in C.
+``python order.py [SCHEME [PICTURE.png]]`` prints for each step size the errors of q, v and of the
+multiplier lambda(q, v) at t = 1, and the worst residual of D.  It then prints the orders (p, s),
+the promised ones, and the verdict.  p and s are slopes of the errors of one step, minus 1.
+``print(study)`` prints a table of the same, and ``examples/order.c`` prints this one in C.
 """
 
 import sys
@@ -43,11 +43,11 @@ if study.holds is False:
     sys.exit(1)
 
 # %%
-# What is measured
-# ----------------
-# Left the blade comes down the incline with steps much too large, and the nearer to the exact
-# motion the smaller they are.  Right the errors of the study: a slope of 2 says that half the step
-# makes a quarter of the error, and it holds for the multiplier too.
+# The measurement
+# ---------------
+# Left: the blade moves down the incline with steps that are much too large; smaller steps come
+# closer to the exact motion.  Right: the errors of the study.  The slope 2 means that half the step
+# has a quarter of the error, also for the multiplier.
 
 figure, (way, errors) = plt.subplots(1, 2, figsize=(8.0, 4.2), layout="constrained")
 for steps, colour, marker in zip((4, 6, 10), COLOURS[1:], "os^"):

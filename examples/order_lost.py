@@ -2,13 +2,13 @@
 The order that kept nodes lose
 ==============================
 
-A scheme of order 2 seen at the nodes of the paper has order 1; the states were never worse, one
-only looks at them half a step too late.
+A scheme of order 2 has order 1 at the nodes of the paper.  The states are not less accurate; they
+are read half a step too late.
 
-The Chaplygin sleigh by the midpoint scheme, of order 2 at moved nodes.  At kept nodes the order is
-1, however the run starts: from data in D, where its first step jumps to D_eps; from data projected
-to D_eps; or from data shifted by ``(q, v) -> (q + h v/2, v)``.  In the last case nothing is lost:
-these are the states of the run at moved nodes, shifted, and ``(q - h v/2, v)`` is of order 2 again.
+The Chaplygin sleigh by the midpoint scheme has order 2 at moved nodes.  At kept nodes the order is
+1 for every start: from data in D, whose first step jumps to D_eps; from data projected to D_eps; or
+from data shifted by ``(q, v) -> (q + h v/2, v)``.  In the last case no accuracy is lost: these are
+the states of the run at moved nodes, shifted, and ``(q - h v/2, v)`` has order 2 again.
 
 ``python order_lost.py [PICTURE.png]`` prints the error of (q, v) at t = 1 against the exact
 solution, for several steps h.
@@ -35,14 +35,14 @@ def error(scheme, initial, count, back=0.0):
 
 
 # %%
-# What a curve shows: scheme, start, how far q is moved back, and the order that is expected.
+# The data of a curve: scheme, start, how far q is moved back, and the expected order.
 
 curves = {
     "moved nodes": ("midpoint", None, 0.0, 2),
     "kept nodes, start in D": ("midpoint-nodes", "D", 0.0, 1),
     "kept nodes, start projected to D_eps": ("midpoint-nodes", "project", 0.0, 1),
     "kept nodes, start shifted": ("midpoint-nodes", "shift", 0.0, 1),
-    "the same, seen at q - h v/2": ("midpoint-nodes", "shift", 0.5, 2),
+    "the same, at q - h v/2": ("midpoint-nodes", "shift", 0.5, 2),
 }
 errors = {}
 print(f"{'error at h =':38}  1/8        1/32       1/128      order")
@@ -55,13 +55,13 @@ for name, (scheme, initial, back, order) in curves.items():
     errors[name] = found
 
 # %%
-# On the left a few long steps: grey is the sledge of the exact motion, blue and orange where it is
-# by the states of a run.  Moved nodes lie on the motion, up to an error of order 2; kept nodes that
-# start shifted are ahead by ``h v/2``, the thick lines.  On the right this is the error of order 1.
+# Left: a few long steps.  The sledge of the exact motion is grey; blue and orange are the states of
+# the runs.  Moved nodes lie on the motion, up to an error of order 2.  Kept nodes with a shifted
+# start are ahead by ``h v/2``, the thick lines.  Right: this is the error of order 1.
 
 
 def outline(q, size=0.25):
-    """Return the corners of a sledge at q, which looks along its heading."""
+    """Return the corners of a sledge at q, which points along its heading."""
     shape = np.array([(-0.7, -0.5), (0.5, -0.5), (1, 0), (0.5, 0.5), (-0.7, 0.5), (-0.7, -0.5)])
     c, s = np.cos(q[2]), np.sin(q[2])
     return (q[:2] + size * shape @ [[c, s], [-s, c]]).T
@@ -87,7 +87,7 @@ styles = {
     "kept nodes, start in D": ("#E69F00", "s", "--", 9),
     "kept nodes, start projected to D_eps": ("#CC79A7", "+", ":", 9),
     "kept nodes, start shifted": ("#D55E00", "^", "-.", 6),
-    "the same, seen at q - h v/2": ("#000000", "x", ":", 7),
+    "the same, at q - h v/2": ("#000000", "x", ":", 7),
 }
 for name, (colour, marker, line, size) in styles.items():
     ax.loglog(

@@ -1,20 +1,20 @@
-/* own_system.c - a system of one's own: a cart with two wheels on an incline.
+/* own_system.c - a user-defined system: a cart with two wheels on an incline.
  *
  * q = (x, y, phi, left, right): the middle of the axle, which is the centre of mass, with x
- * downhill; the heading; the angles by which the wheels have turned.
+ * downhill; the heading; the rotation angles of the wheels.
  *
  *     L = m (v_x^2 + v_y^2)/2 + J v_phi^2/2 + I (v_left^2 + v_right^2)/2 + m g x
  *     -sin(phi) v_x + cos(phi) v_y                       = 0    the wheels do not slip sideways
  *      cos(phi) v_x + sin(phi) v_y - b v_phi - R v_left  = 0    nor along their planes
  *      cos(phi) v_x + sin(phi) v_y + b v_phi - R v_right = 0
- *     q = 0, v = (0, 0, w, -b w/R, b w/R) at t = 0: it turns on the spot and is let go
+ *     q = 0, v = (0, 0, w, -b w/R, b w/R) at t = 0: it turns on the spot and is released
  *
  * First integrals: the energy, v_phi, and R (right - left) - 2 b phi.  The exact motion is a
  * cycloid: with a = g m/(m + 2 I/R^2) the cart never rolls down by more than a/(2 w^2), and drifts
  * sideways by pi a/w^2 in each turn.
  *
- * Prints what dal_system_check finds, these two lengths for ten turns beside the exact ones, and
- * how far energy, first integrals and constraints are off.
+ * Prints the findings of dal_system_check, these two lengths for ten turns beside the exact ones,
+ * and the errors of energy, first integrals and constraints.
  *
  *     cc own_system.c $(pkg-config --cflags --libs dalembert) -o own_system && ./own_system
  */

@@ -1,25 +1,25 @@
 """
-A system of one's own
-=====================
+Your own system
+===============
 
-A system of one's own from formulas in plain Python: a cart with two wheels on an incline, which
+A user-defined system from formulas in plain Python: a cart with two wheels on an incline, which
 rolls sideways along a cycloid.
 
-q = (x, y, phi, left, right): the middle of the axle, which is the centre of mass, with x
-downhill; the heading; the angles by which the wheels have turned::
+q = (x, y, phi, left, right): the middle of the axle, which is the centre of mass, with x downhill;
+the heading; the rotation angles of the wheels::
 
     L = m (v_x^2 + v_y^2)/2 + J v_phi^2/2 + I (v_left^2 + v_right^2)/2 + m g x
     -sin(phi) v_x + cos(phi) v_y                       = 0    the wheels do not slip sideways
      cos(phi) v_x + sin(phi) v_y - b v_phi - R v_left  = 0    nor along their planes
      cos(phi) v_x + sin(phi) v_y + b v_phi - R v_right = 0
-    q = 0, v = (0, 0, w, -b w/R, b w/R) at t = 0: it turns on the spot and is let go
+    q = 0, v = (0, 0, w, -b w/R, b w/R) at t = 0: it turns on the spot and is released
 
 First integrals: the energy, v_phi, and R (right - left) - 2 b phi.  The exact motion is a
 cycloid: with a = g m/(m + 2 I/R^2) the cart never rolls down by more than a/(2 w^2), and drifts
 sideways by pi a/w^2 in each turn.
 
-``python own_system.py [PICTURE.png]`` prints what System.check finds, these two lengths for ten
-turns beside the exact ones, and how far energy, first integrals and constraints are off.
+``python own_system.py [PICTURE.png]`` prints the findings of System.check, these two lengths for
+ten turns beside the exact ones, and the errors of energy, first integrals and constraints.
 ``examples/own_system.c`` prints the same in C.
 """
 
@@ -45,7 +45,7 @@ def forms(q):
 
 
 def forms_velocity_derivative(q, v):
-    """d(mu v)/dq: only the heading enters."""
+    """Return d(mu v)/dq, which contains only the heading."""
     s, c = sin(q[2]), cos(q[2])
     sideways, along = -c * v[0] - s * v[1], -s * v[0] + c * v[1]
     return [[0, 0, sideways, 0, 0], [0, 0, along, 0, 0], [0, 0, along, 0, 0]]
@@ -54,8 +54,8 @@ def forms_velocity_derivative(q, v):
 # %%
 # The system
 # ----------
-# The derivative of the forms could be left out, and would be differenced; with it a step is faster.
-# The check compares it with differences, and looks whether the constraints are nonholonomic at all.
+# The derivative of the forms is optional; without it differences are used, and a step is slower.
+# The check compares it with differences, and tests whether the constraints are nonholonomic.
 
 cart = dal.System(
     mass=[m, m, J, I, I],
@@ -101,10 +101,10 @@ print(f"R (right - left) - 2 b phi    off by {off(slip):.1e}")
 print(f"worst residual of D  {run.residual.max():.1e}")
 
 # %%
-# How it looks
-# ------------
-# From above, with the way downhill drawn downwards.  The middle of the axle goes along the cycloid,
-# and after each half turn is at the height again at which it was let go.
+# The motion
+# ----------
+# The view from above, with the downhill direction drawn downwards.  The middle of the axle moves
+# along the cycloid, and after each half turn it returns to its initial height.
 
 draw = dal.plot.bodies
 

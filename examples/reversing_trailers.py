@@ -2,24 +2,24 @@
 Reversing with a trailer
 ========================
 
-Who pushes a trailer backwards with the wheels straight jack-knifes; a law that steers the wrong way
-first brings car and trailer into the lane.
+A trailer that is pushed backwards with straight wheels jack-knifes.  A control law that first
+steers the other way brings car and trailer into the lane.
 
-The car has its rear axle at (x, y), from where it drives, and a front axle at distance l that is
-steered by phi; the trailer hangs on the rear axle by a bar of length d.  With u the speed along the
-heading theta and delta = theta - theta1 the angle at the hitch::
+The car has its driven rear axle at (x, y), and a front axle at distance l that is steered by phi.
+The trailer is attached to the rear axle by a bar of length d.  With the speed u along the heading
+theta and the angle delta = theta - theta1 at the hitch::
 
     L = m (v_x^2 + v_y^2)/2 + J v_theta^2/2 + K (v_theta + v_phi)^2/2
         + m1 (v_x1^2 + v_y1^2)/2 + J1 v_theta1^2/2,     (x1, y1) = (x, y) - d (cos, sin)(theta1)
     rear axle, front axle and trailer move along themselves only
     force along theta:  500 (-speed - u) N          torque on phi:  2000 (aim - phi) - 200 v_phi
 
-The aim is 0, or what the law wants: the trailer turns towards the lane y = 0, for this the angle at
-the hitch has to open, and for this the wheels have to steer.
+The aim is 0, or follows from the law: the trailer should turn towards the lane y = 0, which
+requires an angle at the hitch, which requires an angle of the wheels.
 
-``python reversing_trailers.py [PICTURE.png]`` prints when the trailer jack-knifes, how near to the
-lane the other one comes, how far both are from a solution of the reduced equations, and how well
-the wheels roll.
+``python reversing_trailers.py [PICTURE.png]`` prints the time at which the first trailer
+jack-knifes and the final distance of the other one from the lane.  It also prints the distance of
+both from a solution of the reduced equations, and the residual of the rolling constraints.
 """
 
 import sys
@@ -32,8 +32,7 @@ from scipy.integrate import solve_ivp
 import dalembert as dal
 
 # %%
-# The law is a formula of the state, for SymPy and for NumPy.  All angles that it asks for are bent
-# by tanh, so that it never asks for too much.
+# The law is a formula of the state, for SymPy and for NumPy.  All angles are limited by tanh.
 
 l, d, speed = 2.6, 4.0, 1.5  # m, m, m/s
 masses = {"m": 1200.0, "J": 1500.0, "K": 20.0, "m1": 600.0, "J1": 500.0}  # kg, kg m^2
@@ -44,11 +43,11 @@ def at_most(angle, limit, tanh):
 
 
 def steering(y1, theta, theta1, f):
-    """Return where the wheels should stand; f has sin, tanh and atan."""
+    """Return the desired angle of the wheels; f has sin, tanh and atan."""
     course = at_most(0.18 * y1, 0.6, f.tanh)  # of the trailer: towards the lane
     delta = theta - theta1
-    hitch = at_most(2.0 * (theta1 - course), 0.6, f.tanh)  # what turns the trailer there
-    bend = f.sin(delta) / d - 1.2 * (hitch - delta)  # of the car's way, which opens the hitch
+    hitch = at_most(2.0 * (theta1 - course), 0.6, f.tanh)  # turns the trailer to that course
+    bend = f.sin(delta) / d - 1.2 * (hitch - delta)  # curvature of the car's path: opens the hitch
     return at_most(f.atan(l * bend), 0.6, f.tanh)
 
 
@@ -101,7 +100,7 @@ def reduced(t, state, law):
 
 
 # %%
-# Both runs begin at rest beside the lane, with the hitch open by 4 degrees.
+# Both runs begin at rest beside the lane, with an angle of 4 degrees at the hitch.
 
 q0 = [0.0, 3.5, 0.0, 0.0, np.radians(4)]
 runs = {}
@@ -169,6 +168,6 @@ if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)
 
 # %%
-# The steered one as a film: to turn the trailer one way the wheels first turn the other.
+# The controlled run as a film: to turn the trailer one way the wheels first turn the other way.
 
 dal.plot.animate(runs["steered by the law"], vehicle, fps=12, seconds=9, multipliers=False)

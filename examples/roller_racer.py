@@ -1,21 +1,21 @@
 """
-A roller racer swings itself along
-==================================
+A roller racer
+==============
 
-A toy without pedals: whoever sits on it swings the handle to and fro, the wheels do not slip aside,
-and it drives from rest, forwards with a short handle and backwards with a long one.
+A toy without pedals: its rider swings the handle, the wheels do not slip sideways, and it starts
+from rest.  It moves forwards with a short handle and backwards with a long one.
 
-Body (mass m, inertia J) and handle (inertia K) meet in a hinge, each on an axle (Krishnaprasad and
-Tsakiris 2001; ``dal.systems.roller_racer``).  The arms are a spring and a damper that follow a
-swing::
+Body (mass m, inertia J) and handle (inertia K) are joined by a hinge, each on an axle
+(Krishnaprasad and Tsakiris 2001; ``dal.systems.roller_racer``).  The arms are a spring and a damper
+that follow a swing::
 
     L = (m (v_x^2 + v_y^2) + J v_theta^2 + K (v_theta + v_phi)^2)/2
     torque on phi:  k (swing sin(w t) - phi) - c v_phi
     -sin(theta) v_x + cos(theta) v_y = 0
     -sin(theta + phi) v_x + cos(theta + phi) v_y + (d1 cos(phi) + d2) v_theta + d2 v_phi = 0
 
-``python roller_racer.py [PICTURE.png]`` prints for both handles how far the racer comes and how
-fast it is, how far that is from a solution of the reduced equations, and how well the wheels roll.
+``python roller_racer.py [PICTURE.png]`` prints for both handles the distance and the speed of the
+racer, the difference from a solution of the reduced equations, and the rolling residual.
 """
 
 import sys

@@ -2,19 +2,19 @@
 Three gaits of a snakeboard
 ===========================
 
-A rider swings arms and axles in sines of the time: with equal frequencies the board drives, with
-2 : 1 it turns on the spot, with 3 : 2 it parks sideways.
+A rider moves arms and axles as sines of the time.  With equal frequencies the board drives, with 2
+: 1 it turns on the spot, with 3 : 2 it parks sideways.
 
-The angles psi of the rotor and phi of the axles are told, so that constraints and Lagrangian depend
-on the time (Lewis, Ostrowski, Murray and Burdick 1994; Bloch, Krishnaprasad, Marsden and Murray
+The angles psi of the rotor and phi of the axles are prescribed, so constraints and Lagrangian
+depend on time (Lewis, Ostrowski, Murray and Burdick 1994; Bloch, Krishnaprasad, Marsden and Murray
 1996)::
 
     L = m (v_x^2 + v_y^2)/2 + (m r^2 - J0) v_theta^2/2 + J0 (v_theta + psi')^2/2
     front axle:   sin(theta + phi) v_x - cos(theta + phi) v_y - r cos(phi) v_theta = 0
     back axle:    sin(theta - phi) v_x - cos(theta - phi) v_y + r cos(phi) v_theta = 0
 
-``python snakeboard_gait.py [PICTURE.png]`` prints how far the board has gone after four periods,
-which is checked against the reduced equation, and how well the wheels roll.
+``python snakeboard_gait.py [PICTURE.png]`` prints the displacement of the board after four periods,
+checks it against the reduced equation, and prints the residual of the wheels' constraints.
 """
 
 import sys
@@ -44,17 +44,17 @@ board = dal.System.from_sympy(
 )
 
 # %%
-# Another way to the same end
-# ---------------------------
+# An independent solution
+# -----------------------
 # On D the board has a single velocity u, forwards, and ``v_theta = u k`` with ``k = tan(phi)/r``::
 #
 #     (m + m r^2 k^2) u' + m r^2 k k' u + J0 k psi'' = 0
 #
-# This equation shares nothing with the run but the parameters.
+# This equation shares only the parameters with the run.
 
 
 def reduced(values, t_end, steps):
-    """Return (x, y, theta) at the end by the reduced equation and the method of Runge and Kutta."""
+    """Return (x, y, theta) at the end by the reduced equation and a Runge-Kutta method."""
     m, r, J0, rotor, axles, w_rotor, w_axles = values
 
     def rate(t, state):
@@ -95,8 +95,8 @@ for name, (fast, slow) in gaits.items():
         sys.exit(f"expected the end of the reduced equation, and D(t) to roundoff: off by {error}")
 
 # %%
-# What one sees
-# -------------
+# The motion
+# ----------
 # A body for the pictures, to scale: the board, its axles, and the arms of the rider.
 
 draw = dal.plot.bodies
@@ -136,6 +136,6 @@ if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)
 
 # %%
-# The gait that drives as a film, with the reactions at the axles, which push the board.
+# The driving gait as a film, with the reactions at the axles, which propel the board.
 
 dal.plot.animate(runs["drive"], rider(runs["drive"].system), fps=12, seconds=8)

@@ -2,18 +2,18 @@
 A sweep on two processes
 ========================
 
-Every step size of a sweep is a member of an ensemble, on any executor, here on two processes; the
-ends walk to the exact one at the rate of the order.
+Every step size of a sweep is a member of an ensemble, on any executor, here on two processes.  The
+last states converge to the exact one with the order of the scheme.
 
 A skate on a slope (the knife edge), by three schemes of order 2, 4 and 6.  Two processes of dask
-make the members where it is installed (``pip install '.[cluster]'``), else those of a pool.
-Results go into a store: whatever ends this program, the same call goes on, and reads what is there.
-On a cluster ``Client("tcp://HOST:PORT")`` is all that changes::
+compute the members if it is installed (``pip install '.[cluster]'``), otherwise a process pool.
+Results go into a store: after any interruption, the same call resumes and reads the stored results.
+On a cluster, only the client changes, to ``Client("tcp://HOST:PORT")``::
 
     dal.ensemble(system, scheme, h=steps, t_end=8, executor=executor, store=folder)
 
-``python swept_step.py [PICTURE.png]`` prints errors, the order that they show, and the residual of
-D of each scheme.
+``python swept_step.py [PICTURE.png]`` prints the errors, the measured order, and the residual of D
+of each scheme.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ schemes = {"midpoint": 2, "leapfrog-yoshida4": 4, "leapfrog-kl6": 6}
 
 @contextlib.contextmanager
 def two_processes():
-    """Give an executor, and end its processes afterwards."""
+    """Provide an executor, and end its processes afterwards."""
     try:
         from distributed import Client, LocalCluster
     except ImportError:
@@ -46,8 +46,8 @@ def two_processes():
 
 
 # %%
-# Processes that start read this file too.  ``__name__`` is something else in them, so that they
-# stop short of what follows, and start no processes of their own.
+# New processes import this file too.  ``__name__`` differs in them, so they stop here, and start no
+# processes of their own.
 
 if __name__ == "__main__":
     exact, _ = edge.exact(t_end)
@@ -64,17 +64,17 @@ if __name__ == "__main__":
                 f"{scheme:>18}: error {error[0]:.1e} to {error[-1]:.1e}, order {slope:.2f}, "
                 f"residual of D {worst:.1e}"
             )
-            # The bits are those of a run in this process, and those in the store.
+            # The bits equal those of a run in this process, and those in the store.
             here = ensembles[scheme] = dal.ensemble(edge, scheme, **given | {"store": None})
             if not ((here.q == runs.q).all() and (there.q == runs.q).all()):
-                sys.exit("the members were expected to be the same wherever they are made")
+                sys.exit("expected the same members from every process")
             if abs(slope - order) > 0.3:
                 sys.exit(f"order {order} was expected")
 
 # %%
-# Above, the last arc of the way by two members with ``midpoint``: the skate goes down the slope, is
-# turned by its spin and comes up again; with long steps it ends elsewhere.  Below, the errors of
-# all members.
+# Above: the last arc of the path for two members with ``midpoint``.  The skate moves down the
+# slope, its rotation turns it, and it moves up again; with long steps it ends elsewhere.  Below:
+# the errors of all members.
 
 if __name__ == "__main__":
     figure, (way, ax) = plt.subplots(

@@ -2,14 +2,14 @@
 One map for L, another for D
 ============================
 
-Discretise the Lagrangian and the constraint by different maps: whether the energy drifts is a
-matter of the constraint's map alone, and the best pair is not the symmetric one.
+The Lagrangian and the constraint are discretised by different maps.  The map of the constraint
+alone decides whether the energy drifts, and the best pair is not the symmetric one.
 
-The mobile robot, L_d by rho^beta_L and D_d by rho^beta_D (arXiv 1605.02666), the difference maps
+The mobile robot has L_d by rho^beta_L and D_d by rho^beta_D (arXiv 1605.02666), the difference maps
 from ``(q_0, q_1)`` to ``((1-beta) q_0 + beta q_1, (q_1 - q_0)/h)``.  The mass is constant, so L_d
-of beta_L and of 1/2 differ by a term that the discrete equations do not see, and O(h^3).  So the
-energy stays bounded for beta_D = 1/2.  How wide the band is depends on beta_L, and 1/2 is not the
-best.  Every run keeps D to roundoff.
+of beta_L and of 1/2 differ by O(h^3) and by a term without effect on the discrete equations.
+Therefore the energy stays bounded for beta_D = 1/2.  The width of the band depends on beta_L, and
+1/2 is not the best.  Every run keeps D to roundoff.
 
 ``python two_maps.py [PICTURE.png]`` prints for each pair of maps the range of E - E(0), and the
 worst residual of D.
@@ -23,13 +23,13 @@ import numpy as np
 import dalembert as dal
 
 robot = dal.systems.robot()
-# Steps so large that the maps differ: the warning that h is too large is turned off.
+# Steps so large that the maps differ; the warning of a large h is turned off.
 h, steps = 0.05, 2000
 pairs = [(0.5, 0.5), (0.25, 0.5), (0.0, 0.5), (0.5, 0.0), (0.5, 1.0)]
 
 # %%
 # ``Scheme.pair`` steps by two maps.  `dalembert.Discrete` does the same on nodes, one step at a
-# time, and shows all that is in between; here it checks the last step of each run.
+# time, and exposes the intermediate quantities; here it checks the last step of each run.
 
 runs, errors = {}, {}
 print("beta_L  beta_D    min E - E(0)    max E - E(0)  residual of D")
@@ -47,9 +47,9 @@ if not bands[0.25, 0.5] < bands[0.5, 0.5] < 0.1 * bands[0.5, 0.0]:
     sys.exit("the energy was expected to be a matter of D_d, and best for two maps")
 
 # %%
-# On the left the robot's way, a rosette.  With a one-sided map for D, in orange, the energy grows,
-# and the petals with it.  On the right the energies: where the map of the constraint is the
-# midpoint map, the map of L decides about a band of some hundredths only.
+# Left: the path of the robot, a rosette.  With a one-sided map for D, in orange, the energy grows,
+# and so do the petals.  Right: the energies.  If the map of the constraint is the midpoint map, the
+# map of L changes only the width of a band of some hundredths.
 
 figure = plt.figure(figsize=(10.5, 5.2), layout="constrained")
 axes = figure.subplot_mosaic([["way", "midpoint"], ["way", "one-sided"]], width_ratios=(1, 1))

@@ -2,19 +2,19 @@
 An uncertain car
 ================
 
-Where does a car end whose mass, inertias and length are known to some percent only?  A cloud, by
-two thousand runs at once.
+Mass, inertias and length of a car are known only to some percent.  Two thousand runs show where it
+may end.
 
 Mass m, inertias J and K, and the distance l of the axles are drawn from normal distributions by a
-quasi-random sequence.  Each member starts with the initial data that its own parameters give::
+quasi-random sequence.  The initial data of each member follow from its own parameters::
 
     L = (m (v_x^2 + v_y^2) + J v_theta^2 + K (v_theta + v_phi)^2)/2
     -sin(theta) v_x + cos(theta) v_y = 0
     -sin(theta + phi) v_x + cos(theta + phi) v_y + l cos(phi) v_theta = 0
 
-``python uncertain_car.py [PICTURE.png]`` prints mean and standard deviation of the position at the
-end, and compares the latter with what the derivatives by the parameters say: a check that shares
-nothing with the sample.
+``python uncertain_car.py [PICTURE.png]`` prints mean and standard deviation of the last position.
+It compares the deviation with a linear estimate from derivatives by the parameters, a check that is
+independent of the sample.
 """
 
 import sys
@@ -39,7 +39,7 @@ for name, a, b in zip(car.coordinates, mean, deviation):
     print(f"{name:>6} = {a:8.4f} +- {b:.4f}")
 
 # %%
-# The derivatives of q by each parameter, by differences of one pair of members for each: to first
+# The derivatives of q by each parameter follow from differences of a pair of members.  To first
 # order they give the same deviation.
 
 step = np.array([-1e-4, 1e-4])
@@ -56,8 +56,8 @@ if not (abs(linear / deviation - 1) < 0.1).all():
     sys.exit("the derivatives were expected to give the deviation of the sample")
 
 # %%
-# The car of the mean parameters on its way, the ways of 200 others in pale blue, and the ends of
-# all: the length of the car shows in how far round it comes.
+# The path of the car with mean parameters, the paths of 200 others in pale blue, and the last
+# positions of all: the length of the car changes how far it turns.
 
 nominal = dal.integrate(car, "midpoint", h=given["h"], t_end=given["t_end"])
 bands = dal.ensemble(car, "midpoint", parameters=cars.parameters, keep="all", stride=10, **given)

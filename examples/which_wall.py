@@ -2,18 +2,18 @@
 Which wall is first?
 ====================
 
-A sleigh starts in the middle of a sloping room: which wall it hits first is a map of its initial
-velocities, with thin bands in it, made of thousands of runs that end by events.
+A sleigh starts in the middle of a sloping room.  The wall that it hits first is a map of its
+initial velocities, with thin bands in it.  Thousands of runs that end by events compute this map.
 
 Each pair of a speed along the blade and a rate of turning is a member of the ensemble::
 
     L = m (v_x^2 + v_y^2)/2 + J v_theta^2/2 - m g y
     -sin(theta) v_x + cos(theta) v_y = a v_theta
 
-Its run ends at the first wall: terminal events, which are expressions, so that C looks for them.
+Its run ends at the first wall by terminal events.  They are expressions, so C evaluates them.
 
-``python which_wall.py [PICTURE.png] [COUNT]`` prints how many hit which wall, and how long that
-took: 15 s for a million runs on two threads.
+``python which_wall.py [PICTURE.png] [COUNT]`` prints the number of hits of each wall, and the run
+time: 15 s for a million runs on two threads.
 """
 
 import math
@@ -61,7 +61,7 @@ for k, name in enumerate(walls):
     print(f"{name:>7}: {here.mean():6.1%}, after {runs.t[here].mean():.2f} s in the mean")
 
 # %%
-# Each run ended on its wall, in D; and one of them again has the same bits.
+# Each run ended on its wall, in D; one of them, repeated, has the same bits.
 
 hit = runs.ended_by >= 0
 place = np.array([runs.q[:, 0], -runs.q[:, 0], runs.q[:, 1], -runs.q[:, 1]])
@@ -74,7 +74,7 @@ if not (again.q[-1] == runs.q[len(runs) // 3]).all():
     sys.exit("a member was expected to be the same when it is run alone")
 
 # %%
-# The map, and the runs of the dots in the room.
+# The map, and the paths of the marked runs in the room.
 
 colours = ListedColormap(["#DDDDDD", "#0072B2", "#D55E00", "#009E73", "#E69F00"])
 figure, (where, way) = plt.subplots(1, 2, figsize=(9.6, 4.9), layout="constrained")
@@ -82,7 +82,7 @@ grid = runs.ended_by.reshape(runs.shape).T
 where.pcolormesh(speed, turning, grid, cmap=colours, vmin=-1.5, vmax=3.5, rasterized=True)
 where.set(xlabel="speed along the blade (m/s)", ylabel="rate of turning (rad/s)")
 where.set_title(f"the first wall, {len(runs)} runs")
-row = int(0.65 * side)  # of the map, where turning is 0.9 rad/s
+row = int(0.65 * side)  # of the map, at a rate of 0.9 rad/s
 for k in range(side // 40, side, side // 16):
     run = runs.member(k * side + row)
     colour = colours(int(runs.ended_by[k * side + row]) + 1)
