@@ -1,5 +1,5 @@
-/* A run that survives its process, because it keeps a journal.  The first process ends too early, as
- * if it had been killed; the second resumes the run, to the bits of an uninterrupted one.
+/* A run that survives its process, because it keeps a journal.  The first process ends too early,
+ * as if it had been killed; the second resumes the run, to the bits of an uninterrupted one.
  *
  *     cc journal.c $(pkg-config --cflags --libs dalembert) -o journal && ./journal */
 #include <dalembert.h>

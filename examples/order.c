@@ -4,7 +4,8 @@
  *     the default initial data of the built-in system; t from 0 to 1
  *
  * Prints for each step size the errors of q, v and of the multiplier lambda(q, v) at t = 1, and the
- * worst residual of D.  Then come the orders (p, s), the promised ones, and the verdict.  p and s are slopes of the errors of one step, minus 1.
+ * worst residual of D.  Then come the orders (p, s), the promised ones, and the verdict.  p and s
+ * are slopes of the errors of one step, minus 1.
  *
  *     cc order.c $(pkg-config --cflags --libs dalembert) -o order && ./order [SCHEME]
  */

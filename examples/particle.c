@@ -3,8 +3,8 @@
  *     L = (v_x^2 + v_y^2 + v_z^2)/2,   v_z = y v_x,   that is mu(q) = (-y, 0, 1)
  *     q = (0, 1, 0), v = (1, 1, 1) at t = 0;  h = 0.01, 1000 steps
  *
- * Prints the last position beside the exact one, the band of the energy, and the worst residual of D,
- * which docs/residual.md defines.
+ * Prints the last position beside the exact one, the band of the energy, and the worst residual of
+ * D, which docs/residual.md defines.
  *
  *     cc particle.c $(pkg-config --cflags --libs dalembert) -o particle && ./particle
  */
