@@ -23,12 +23,12 @@ def place(name: str) -> int:
 
 SHOWN = {
     "ball_on_turntable": [
-        "Left, the ball goes round in a circle; middle and right, its track on the turning "
+        "Left, the ball moves in a circle; middle and right, its track on the turning "
         "table is a closed curve of loops, with seven turns of the table for a homogeneous "
         "ball, five for a hollow one.",
     ],
     "bouncing_sleigh": [
-        "The sleigh at several instants in its box, its path in arcs from wall to wall, drawn "
+        "The sleigh at several instants in its box, its path in arcs from wall to wall, bent "
         "down by the incline.",
     ],
     "charts": [
@@ -78,7 +78,7 @@ SHOWN = {
     ],
     "killed_run": [
         "The robot at several instants between wall and turn; a mark on the path shows where "
-        "the run was killed, and the path goes on from there.",
+        "the run was killed, and the path continues from there.",
     ],
     "long_runs": [
         "Above, paths early and late: the same region in the reversible case, a larger one late "
@@ -95,7 +95,7 @@ SHOWN = {
     ],
     "order_lost": [
         "Left, the sleigh at moved and at kept nodes with a large step; right, errors against "
-        "h: slope 2 for moved nodes, and for kept ones seen half a step back, slope 1 for the "
+        "h: slope 2 for moved nodes, and for kept ones half a step back, slope 1 for the "
         "others.",
     ],
     "own_system": [
@@ -121,7 +121,7 @@ SHOWN = {
         "turns about a point, park moves sideways by small arcs.",
     ],
     "swept_step": [
-        "Above, the path between two cusps as the exact motion and two steps have it; below, "
+        "Above, the path between two cusps for the exact motion and two step sizes; below, "
         "errors of three schemes against the step, with slopes 2, 4 and 6.",
     ],
     "two_maps": [
@@ -130,8 +130,8 @@ SHOWN = {
         "sided map.",
     ],
     "uncertain_car": [
-        "Left, the car at several instants in a left bend, 200 ways around it, and all the ends "
-        "as a cloud; right, median and bands of y over time.",
+        "Left, the car at several instants in a left bend, 200 paths around it, and all last "
+        "positions as a cloud; right, median and bands of y over time.",
     ],
     "which_wall": [
         "Left, a map of the first wall over the speed and the rate of turning, in four colours; "
