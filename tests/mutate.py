@@ -1,18 +1,25 @@
-"""Change the library in one place after the other, and see which changes no test notices.
+"""Change the project in one place after the other, and see which changes no test notices.
 
-The mutations stand in mutations.toml: ``file``; ``old``, a text that occurs in it once, or
-``index`` says which; ``new``; ``tests``, names for `meson test` of which one has to fail; and, if
-none can, the ``reason``.  Everything happens in copies of the tree.  To run some of them:
+The special changes stand in mutations.toml: for each file rows of an old text, which occurs in it
+once, a new one, and names of tests of which one has to fail; then, if need be, which of several
+occurrences (``index``), or why no test can fail (``reason``).  Small ones are drawn at random
+(draw.py) in csrc and include, or where --within says, and the quick tests have to notice them.
+Everything happens in copies of the tree.
 
     ./dev shell python tests/mutate.py -k plot --jobs 2
+    ./dev shell python tests/mutate.py --draw 100 --seed 7 --from 40
 """
 
 from __future__ import annotations
 
 import argparse
+import collections
+import contextlib
+import hashlib
 import json
 import os
 import queue
+import random
 import shutil
 import subprocess
 import sys
@@ -21,6 +28,8 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import draw
+
 try:
     import tomllib
 except ImportError:
@@ -28,13 +37,14 @@ except ImportError:
     sys.exit(77)  # to meson: skipped
 
 ROOT = Path(__file__).resolve().parents[1]
+TABLE = ROOT / "tests/mutations.toml"
 
 
 class Mutation:
     """One change of one file, and the tests that have to notice it."""
 
     def __init__(self, file, old, new, tests, index=None, reason=""):
-        self.file, self.tests, self.reason = file, tests, reason
+        self.file, self.tests, self.reason = file, tests.split(), reason
         self.name = f"{file}: {' '.join(old.split())} -> {' '.join(new.split()) or 'nothing'}"
         self.text = (ROOT / file).read_text(encoding="utf-8")
         parts = self.text.split(old)
@@ -45,10 +55,28 @@ class Mutation:
         self.changed = old.join(parts[:cut]) + new + old.join(parts[cut:])
 
 
+class Drawn:
+    """A small change of one file, drawn at random from all of them."""
+
+    def __init__(self, places, dice):
+        self.file, (start, end, new) = dice.choice(places)
+        self.text = (ROOT / self.file).read_text(encoding="utf-8")
+        self.changed = self.text[:start] + new + self.text[end:]
+        old = " ".join(self.text[start:end].split())
+        self.name = f"{self.file}:{draw.line_of(self.text, start)}: {old} -> {new or 'nothing'}"
+
+
+def places(within):
+    """Return every (file, change) in some folders."""
+    listed = subprocess.run(["git", "ls-files", "--", *within], cwd=ROOT, stdout=-1, check=True)
+    files = [x for x in listed.stdout.decode().split() if x.endswith((".c", ".h", ".py"))]
+    return [(x, y) for x in files for y in draw.changes(x, (ROOT / x).read_text("utf-8"))]
+
+
 class Tree:
     """A copy of the tree with a build directory of its own."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, options=()):
         self.root, self.build = folder, folder / "build"
         listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
         files = subprocess.run(listed, cwd=ROOT, stdout=subprocess.PIPE, check=True).stdout
@@ -56,17 +84,27 @@ class Tree:
             if (ROOT / name).is_file():  # not one that was removed
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, folder / name)
-        self.run("meson", "setup", self.build, "-Dpython=enabled", check=True)
+        self.run("meson", "setup", self.build, "-Dpython=enabled", *options)
         targets = {x["id"]: x["filename"] for x in self.introspect("--targets")}
         self.tests = {}
         for test in self.introspect("--tests"):
             made = [os.path.relpath(x, self.build) for i in test["depends"] for x in targets[i]]
-            self.tests[test["name"]] = (test["timeout"], made)
+            self.tests[test["name"]] = (test, made)
 
-    def run(self, *command, **options):
-        quiet = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-        done = subprocess.run(command, cwd=self.root, stdin=subprocess.DEVNULL, **quiet, **options)
-        return done.stdout if done.returncode else ""
+    def run(self, *command, check=True, **options):
+        """Return the status of a command, None after its time; or, unless it may fail, stop."""
+        quiet = {"stdin": subprocess.DEVNULL, "stdout": -1, "stderr": subprocess.STDOUT}
+        with subprocess.Popen(command, **{"cwd": self.root, **quiet, **options},
+                              start_new_session=True) as process:  # fmt: skip
+            output, status = b"", None
+            try:
+                output, _ = process.communicate(timeout=None if check else self.limit)
+                status = process.returncode
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, 9)
+        if check and status:
+            raise RuntimeError(f"it does not build\n{output.decode()[-2000:]}")
+        return status
 
     def introspect(self, what):
         command = ["meson", "introspect", what, self.build]
@@ -74,34 +112,106 @@ class Tree:
 
     def make(self, names):
         """Build what the tests need."""
-        made = sorted({x for name in names for x in self.tests[name][1]})
-        if output := self.run("ninja", "-C", self.build, *made):
-            raise RuntimeError("it does not build\n" + output[-2000:])
+        self.run("ninja", "-C", self.build, *sorted({x for n in names for x in self.tests[n][1]}))
+
+    def objects(self):
+        """Return a digest of the library's object files, without where their sources are."""
+        found = sorted((self.build / "csrc").glob("*.a.p/*.o"))
+        return hashlib.sha256(b"".join(path.read_bytes() for path in found)).hexdigest()
 
     def first_to_fail(self, names, limits):
         """Return which is the first of the tests that fails or takes too long, or None."""
-        self.make(names)
         for name in names:
-            factor = str(limits[name] / self.tests[name][0])
-            test = ["meson", "test", "-C", self.build, "--no-rebuild", "-t", factor, name]
-            if output := self.run(*test):
-                return name + ", which runs out of time" * ("TIMEOUT" in output)
+            self.make([name])
+            test = self.tests[name][0]
+            self.limit = limits.get(name, test["timeout"])
+            status = self.run(*test["cmd"], check=False, cwd=test["workdir"] or self.build,
+                              env={**os.environ, **test["env"]})  # fmt: skip
+            if status != 0:
+                return name + ", which runs out of time" * (status is None)
         return None
 
-    def judge(self, mutation, limits):
-        """Return whether all is well with a mutation, and what happened."""
+    @contextlib.contextmanager
+    def changed(self, mutation):
         path = self.root / mutation.file
         path.write_text(mutation.changed, encoding="utf-8")
         try:
-            failed = self.first_to_fail(mutation.tests, limits)
-        except RuntimeError as error:
-            return False, str(error)
+            yield
         finally:
             path.write_text(mutation.text, encoding="utf-8")
+
+    def judge(self, mutation, limits):
+        """Return whether all is well with a mutation of the list, and what happened."""
+        try:
+            with self.changed(mutation):
+                failed = self.first_to_fail(mutation.tests, limits)
+        except RuntimeError as error:
+            return False, str(error)
         reason = f", although {mutation.reason}" if mutation.reason else ""
         if failed:
             return not reason, f"caught by {failed}{reason}"
         return bool(reason), f"survives: {mutation.reason or 'for no reason'}"
+
+
+class Draws:
+    """The changes drawn from a seed: the k-th is the same whichever were drawn before."""
+
+    SUITES = ("c", "convergence", "python", "house")
+
+    def __init__(self, tree, options):
+        self.tree, self.seed, self.places = tree, options.seed, places(options.within)
+        chosen = options.suite or self.SUITES
+        self.rank, self.limits, self.caught = {}, {}, collections.Counter()
+        for name, (test, _) in tree.tests.items():
+            suites = {suite.split(":")[1] for suite in test["suite"]}
+            if "not-quick" not in suites and (found := suites.intersection(chosen)):
+                self.rank[name] = self.SUITES.index(found.pop())
+        for name in self.order(""):
+            began = time.monotonic()
+            if tree.first_to_fail([name], {}):
+                sys.exit(f"{name} fails as the project is")
+            self.limits[name] = max(options.limit, 5 * (time.monotonic() - began))
+        self.objects = tree.objects()
+
+    def order(self, file):
+        """Return the tests: suite by suite, and those first that have caught most."""
+        own = {f"{prefix}{Path(file).stem}" for prefix in ("", "py_")}
+        return sorted(self.rank, key=lambda x: (self.rank[x], x not in own, -self.caught[x], x))
+
+    def judge(self, k):
+        """Return the name of the k-th change and which test catches it, or None."""
+        dice = random.Random(f"{self.seed} {k}")
+        while True:
+            mutation = Drawn(self.places, dice)
+            with self.tree.changed(mutation), contextlib.suppress(RuntimeError):
+                self.tree.make(["floors"])  # the library
+                if mutation.file.endswith(".py") or self.tree.objects() != self.objects:
+                    break
+        with self.tree.changed(mutation):
+            try:
+                caught = self.tree.first_to_fail(self.order(mutation.file), self.limits)
+            except RuntimeError:
+                caught = "the build"
+        self.caught[caught] += 1
+        return mutation.name, caught
+
+
+def draw_all(options):
+    """Draw changes, and print what becomes of each; the status of the program."""
+    with tempfile.TemporaryDirectory(prefix="mutate-") as folder:
+        quick = ("--buildtype=plain", "-Doptimization=1")
+        draws, survived = Draws(Tree(Path(folder), quick), options), []
+        for k in range(options.first, options.draw):
+            began = time.monotonic()
+            name, caught = draws.judge(k)
+            if not caught:
+                survived.append(k)
+            print("  " if caught else "!!", f"{k}: {name}")
+            what = f"caught by {caught}" if caught else "survives"
+            print(f"     {what} ({time.monotonic() - began:.0f} s)", flush=True)
+        print(f"seed {options.seed}: {len(survived)} of {options.draw - options.first} survive "
+              f"{' '.join(map(str, survived))}")  # fmt: skip
+    return int(bool(survived))
 
 
 def arguments():
@@ -111,17 +221,34 @@ def arguments():
     parser.add_argument("--limit", type=float, default=20, help="seconds for a test, default 20; "
                         "more where it takes more than a third of them as the library is")
     parser.add_argument("--list", action="store_true", help="only show them, if they still apply")
+    parser.add_argument("--draw", type=int, metavar="N", help="draw N small changes instead")
+    parser.add_argument("--seed", type=int, default=random.randrange(10**6), help="of the draw")
+    parser.add_argument("--from", dest="first", type=int, default=0, metavar="K",
+                        help="continue the draw at number K")
+    parser.add_argument("--within", nargs="+", default=["csrc", "include"], metavar="FOLDER",
+                        help="folders or files to draw in; default csrc include")
+    parser.add_argument("--suite", nargs="+", choices=Draws.SUITES,
+                        help="suites that have to notice; default all of them")
     return parser.parse_args()
+
+
+def read():
+    """Return the mutations of the list."""
+    table = tomllib.loads(TABLE.read_text(encoding="utf-8"))
+    return [
+        Mutation(file, *row[:3], **(row[3] if row[3:] else {}))
+        for file, rows in table.items() for row in rows
+    ]  # fmt: skip
 
 
 def main():
     options = arguments()
-    table = tomllib.loads((ROOT / "tests/mutations.toml").read_text(encoding="utf-8"))
+    if options.draw:
+        return draw_all(options)
     try:
-        mutations = [Mutation(**entry) for entry in table["mutation"]]
+        mutations = [x for x in read() if options.k in x.name]
     except (OSError, ValueError) as error:
         return str(error)
-    mutations = [x for x in mutations if options.k in x.name]
     if options.list:
         print(*(x.name for x in mutations), f"{len(mutations)} mutations", sep="\n")
         return 0
@@ -130,12 +257,10 @@ def main():
         for i in range(options.jobs):
             (Path(folder) / str(i)).mkdir()
             trees.put(tree := Tree(Path(folder) / str(i)))
-        names = sorted({name for x in mutations for name in x.tests})
-        tree.make(names)
         broken, limits = set(), {}
-        for name in names:
+        for name in sorted({name for x in mutations for name in x.tests}):
             began = time.monotonic()
-            if tree.first_to_fail([name], {name: tree.tests[name][0]}):
+            if tree.first_to_fail([name], {}):
                 broken.add(name)
             limits[name] = max(options.limit, 3 * (time.monotonic() - began))
 
