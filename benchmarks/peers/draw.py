@@ -426,12 +426,12 @@ def page(results: dict[str, Any]) -> str:
         lines += [f"- {what} ({', '.join(sorted(where))})." for what, where in refused.items()]
         lines.append("")
     failures = [
-        f"- {name}, {p['title']}, setting {number(point['setting'], 3)}: {point['failed']}."
+        f"- {name}, {p['title']}, setting {number(point['setting'], 3)}: `{point['failed']}`"
         for p in results["problems"].values() for name, m in p["state"].items()
         for point in m["points"] if "failed" in point
     ]  # fmt: skip
     failures += [
-        f"- {name}, {p['title']}, energy: {m['stopped']}."
+        f"- {name}, {p['title']}, energy: `{m['stopped']}`"
         for p in results["problems"].values() if "energy" in p
         for name, m in p["energy"]["methods"].items()
         if "stopped" in m and "would take" not in m["stopped"]
