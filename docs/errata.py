@@ -1,10 +1,10 @@
 """The points of docs/errata.md, computed: `./dev shell python docs/errata.py`.
 
 Every point of the paper that the library does not follow is evaluated twice, as printed and as
-corrected, and both are held against what the library computes.  The entries of the table are
-errors, which have to vanish with a certain order in the step h (the slope of their logarithm, as
-h^2.00) or altogether (0 is roundoff), or quantities that must not vanish.  What an entry compares
-is named in the order of the columns: the printed form first.
+corrected, and both are compared with the library.  The entries of the table are errors or
+quantities that must not vanish.  Errors have to vanish with a certain order in the step h (the
+slope of their logarithm, as h^2.00) or altogether (0 is roundoff).  If an entry compares two
+forms, the printed form comes first.
 
     python docs/errata.py              the whole table
     python docs/errata.py --only E7    the rows of one point, or of several
@@ -41,7 +41,7 @@ H = 2.0 ** -np.arange(4, 10)  # steps of the slopes; local errors stay above 1e-
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: what the two forms give, and whether only the corrected one is right.
+    """One line of the table: values of the two forms, and whether only the corrected one is right.
 
     "-" stands where the paper prints nothing that could be computed.
     """
@@ -53,7 +53,7 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """Say in words what the row shows."""
+        """Return the result of the row in words."""
         if not self.shown:
             return "NOT SHOWN"
         return "confirmed" if self.printed == "-" else "printed form fails"

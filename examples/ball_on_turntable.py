@@ -10,8 +10,8 @@ The table rotates with the rate Omega, so the constraints are affine, and the ta
     L = m (v_x^2 + v_y^2)/2 + J |omega|^2/2
     v_x = a omega_y - Omega y,     v_y = -a omega_x + Omega x
 
-The circle has the rate ``k Omega`` with ``k = J/(J + m a^2)``: 2/7 for a homogeneous ball with
-``J = 2/5 m a^2``, and 2/5 for a hollow one with ``J = 2/3 m a^2`` (Neimark and Fufaev 1972).
+The circle has the rate ``k Omega`` with ``k = J/(J + m a^2)`` (Neimark and Fufaev 1972).  This is
+2/7 for a homogeneous ball with ``J = 2/5 m a^2``, and 2/5 for a hollow one with ``J = 2/3 m a^2``.
 
 ``python ball_on_turntable.py [PICTURE.png]`` prints for both balls the rate of the circle, its
 deviation from a circle, and the error against the exact solution.  It also prints the moving
@@ -31,7 +31,7 @@ balls = {"homogeneous": Fraction(2, 5), "hollow": Fraction(2, 3)}
 q0, v0 = [0.35, 0.0, 0.0, 0.0, 0.0], [0.0, 0.45, 0.0, 0.0, 0.0]
 
 # %%
-# The runs end when the track on the table closes: the table has then turned 7 times, or 5, and the
+# The runs end when the track on the table closes.  The table has then turned 7 times, or 5, and the
 # ball has completed two circles.
 
 runs = {}

@@ -9,8 +9,8 @@ The blade constrains the sleigh; the box is on an incline, with x downhill::
 
     sin(theta) v_x - cos(theta) v_y = 0
 
-At a wall an impulse acts along the normal of the wall and across the blade, so that the velocity
-after it lies in D again.  It reverses the part of the velocity towards the wall, as far as D
+At a wall an impulse acts along the normal of the wall and across the blade.  The velocity after it
+lies in D again.  It reverses the part of the velocity towards the wall, as far as D
 allows.  Both impulses are computed in the metric of the mass, so the energy is conserved.
 
 ``python bouncing_sleigh.py [PICTURE.png]`` prints the walls in the order of the impacts, the

@@ -9,11 +9,11 @@ The wheels roll without slipping, in SymPy's formulas::
     L = m (v_x^2 + v_y^2)/2 + I v_theta^2/2 + J (v_left^2 + v_right^2)/2
     both wheels:  v_forward -+ b v_theta = r v_left, r v_right
 
-The torques of the wheels are inputs, constant over 10 steps: a computer reads the state 100 times a
-second and steers towards a target behind the wall.  The run ends at the wall, in D to roundoff.
+The torques of the wheels are inputs, constant over 10 steps.  A computer reads the state 100 times
+a second and steers towards a target behind the wall.  The run ends at the wall, in D to roundoff.
 
-``python driven_robot.py [PICTURE.png]`` prints the point of impact and the energy balance: the
-energy changes by the work of the torques, and the constraints of the wheels do no work.
+``python driven_robot.py [PICTURE.png]`` prints the point of impact and the energy balance.  The
+energy changes by the work of the torques; the constraints of the wheels do no work.
 """
 
 import sys

@@ -9,7 +9,7 @@ The class has the two methods of a ``gymnasium.Env`` and needs only dalembert an
 pushes and turns a cart on a blade, which cannot slip sideways, towards the origin.  An action lasts
 for 20 steps of the scheme.  An episode can be saved at any time and resumed.
 
-``python environment.py [PICTURE.png]`` prints the rewards of some episodes with a simple rule, and
+``python environment.py [PICTURE.png]`` prints the rewards of some episodes with a simple rule.  It
 checks that each episode is, bit for bit, the run with the same inputs.
 """
 

@@ -13,8 +13,8 @@ The coordinates are x and y below the centre, the yaw alpha, the lean beta and t
     v_x - r omega cos(alpha) - r v_beta cos(beta) sin(alpha) = 0
     v_y - r omega sin(alpha) + r v_beta cos(beta) cos(alpha) = 0
 
-``python falling_disc.py [PICTURE.png]`` prints the range of the lean, the distance of the run from
-a solution of Newton's and Euler's equations, and the errors of energy and constraint.
+``python falling_disc.py [PICTURE.png]`` prints the range of the lean, and the errors of energy and
+constraint.  It also prints the distance from a solution of Newton's and Euler's equations.
 """
 
 import sys

@@ -57,7 +57,7 @@ def feedback(t, q, v):
 # %%
 # The run that will be killed
 # ---------------------------
-# The journal is an argument of `dalembert.integrate`: a file to which the stored rows are written
+# The argument ``journal`` of `dalembert.integrate` names a file.  The stored rows are written to it
 # several times a second.  The script starts itself once more, as the child that computes this run.
 
 given = {"inputs": feedback, "events": [wall]}

@@ -2,7 +2,7 @@
 The order of a scheme
 =====================
 
-The order of a scheme is measured: as the step is refined, the errors decrease with a power of it,
+The order of a scheme is measured.  As the step is refined, the errors decrease with a power of it,
 which is compared with the promised order.
 
 The knife edge on an incline, from the default initial data of the built-in system, for t from 0
@@ -10,9 +10,9 @@ to 1::
 
     L = m (v_x^2 + v_y^2)/2 + J v_theta^2/2 + m g x,   sin(theta) v_x - cos(theta) v_y = 0
 
-``python order.py [SCHEME [PICTURE.png]]`` prints for each step size the errors of q, v and of the
+``python order.py [SCHEME [PICTURE.png]]`` prints for each step size the errors of q, v and the
 multiplier lambda(q, v) at t = 1, and the worst residual of D.  It then prints the orders (p, s),
-the promised ones, and the verdict.  p and s are slopes of the errors of one step, minus 1.
+the promised ones, and the verdict.  Here p and s are slopes of the errors of one step, minus 1.
 ``print(study)`` prints a table of the same, and ``examples/order.c`` prints this one in C.
 """
 

@@ -10,7 +10,7 @@
  *     q = 0, v = (0, 0, w, -b w/R, b w/R) at t = 0: it turns on the spot and is released
  *
  * First integrals: the energy, v_phi, and R (right - left) - 2 b phi.  The exact motion is a
- * cycloid: with a = g m/(m + 2 I/R^2) the cart never rolls down by more than a/(2 w^2), and drifts
+ * cycloid.  With a = g m/(m + 2 I/R^2) the cart never rolls down by more than a/(2 w^2); it drifts
  * sideways by pi a/w^2 in each turn.
  *
  * Prints the findings of dal_system_check, these two lengths for ten turns beside the exact ones,
@@ -24,8 +24,8 @@
 
 enum { N = 5, M = 3, TURNS = 10, STEPS_A_TURN = 200, STEPS = TURNS * STEPS_A_TURN };
 
-/* m and J of the whole cart, I and R of a wheel, half the length of the axle, the downhill part of
- * the acceleration of gravity. */
+/* m and J of the whole cart, I and R of a wheel.  b is half the length of the axle.  g is the
+ * downhill part of the acceleration of gravity. */
 typedef struct cart {
     double m, J, I, R, b, g;
 } cart;

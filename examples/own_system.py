@@ -15,7 +15,7 @@ the heading; the rotation angles of the wheels::
     q = 0, v = (0, 0, w, -b w/R, b w/R) at t = 0: it turns on the spot and is released
 
 First integrals: the energy, v_phi, and R (right - left) - 2 b phi.  The exact motion is a
-cycloid: with a = g m/(m + 2 I/R^2) the cart never rolls down by more than a/(2 w^2), and drifts
+cycloid.  With a = g m/(m + 2 I/R^2) the cart never rolls down by more than a/(2 w^2); it drifts
 sideways by pi a/w^2 in each turn.
 
 ``python own_system.py [PICTURE.png]`` prints the findings of System.check, these two lengths for

@@ -14,8 +14,8 @@ theta and the angle delta = theta - theta1 at the hitch::
     rear axle, front axle and trailer move along themselves only
     force along theta:  500 (-speed - u) N          torque on phi:  2000 (aim - phi) - 200 v_phi
 
-The aim is 0, or follows from the law: the trailer should turn towards the lane y = 0, which
-requires an angle at the hitch, which requires an angle of the wheels.
+The aim is 0, or follows from the law.  To turn the trailer towards the lane y = 0, the law opens
+an angle at the hitch, by an angle of the wheels.
 
 ``python reversing_trailers.py [PICTURE.png]`` prints the time at which the first trailer
 jack-knifes and the final distance of the other one from the lane.  It also prints the distance of

@@ -15,7 +15,7 @@ that follow a swing::
     -sin(theta + phi) v_x + cos(theta + phi) v_y + (d1 cos(phi) + d2) v_theta + d2 v_phi = 0
 
 ``python roller_racer.py [PICTURE.png]`` prints for both handles the distance and the speed of the
-racer, the difference from a solution of the reduced equations, and the rolling residual.
+racer, and the rolling residual.  It compares both with a solution of the reduced equations.
 """
 
 import sys

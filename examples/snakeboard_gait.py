@@ -6,8 +6,8 @@ A rider moves arms and axles as sines of the time.  With equal frequencies the b
 : 1 it turns on the spot, with 3 : 2 it parks sideways.
 
 The angles psi of the rotor and phi of the axles are prescribed, so constraints and Lagrangian
-depend on time (Lewis, Ostrowski, Murray and Burdick 1994; Bloch, Krishnaprasad, Marsden and Murray
-1996)::
+depend on time.  The model is due to Lewis, Ostrowski, Murray and Burdick (1994) and to Bloch,
+Krishnaprasad, Marsden and Murray (1996)::
 
     L = m (v_x^2 + v_y^2)/2 + (m r^2 - J0) v_theta^2/2 + J0 (v_theta + psi')^2/2
     front axle:   sin(theta + phi) v_x - cos(theta + phi) v_y - r cos(phi) v_theta = 0

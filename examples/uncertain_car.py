@@ -57,7 +57,7 @@ if not (abs(linear / deviation - 1) < 0.1).all():
 
 # %%
 # The path of the car with mean parameters, the paths of 200 others in pale blue, and the last
-# positions of all: the length of the car changes how far it turns.
+# positions of all.  The length of the car changes how far it turns.
 
 nominal = dal.integrate(car, "midpoint", h=given["h"], t_end=given["t_end"])
 bands = dal.ensemble(car, "midpoint", parameters=cars.parameters, keep="all", stride=10, **given)

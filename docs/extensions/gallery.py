@@ -1,4 +1,4 @@
-"""The order of the gallery, and what its pictures show."""
+"""The order of the gallery, and descriptions of its pictures."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def place(name: str) -> int:
 
 SHOWN = {
     "ball_on_turntable": [
-        "Left, the ball moves in a circle; middle and right, its track on the turning "
-        "table is a closed curve of loops, with seven turns of the table for a homogeneous "
-        "ball, five for a hollow one.",
+        "Left, the ball moves in a circle; middle and right, its track on the turning table is a "
+        "closed curve of loops. The table makes seven turns for a homogeneous ball, five for a "
+        "hollow one.",
     ],
     "bouncing_sleigh": [
         "The sleigh at several instants in its box, its path in arcs from wall to wall, bent "
@@ -73,7 +73,7 @@ SHOWN = {
         "Two panels, h = 0.1 and 0.05: states of moved nodes on the vertical axis, off D_eps "
         "alone; states of kept nodes on the horizontal axis, off D alone; half as far for half "
         "the step.",
-        "Residuals over time: at moved nodes that of D is roundoff and that of D_eps near 0.1; "
+        "Residuals over time: at moved nodes roundoff for D and near 0.1 for D_eps; "
         "at kept nodes the two have changed places.",
     ],
     "killed_run": [
@@ -103,10 +103,10 @@ SHOWN = {
         "path of arcs sideways on the incline.",
     ],
     "particle": [
-        "The path of the particle in space, which climbs ever more steeply, with its velocity "
-        "and the disc of velocities that the constraint allows at several instants.",
-        "Residuals of a run of midpoint over time: that of D is roundoff, that of D_eps between "
-        "1e-2 and 1e-4.",
+        "The path of the particle in space, which climbs ever more steeply. At several instants "
+        "it shows the velocity and the disc of velocities that the constraint allows.",
+        "Residuals of a run of midpoint over time: roundoff for D, between 1e-2 and 1e-4 for "
+        "D_eps.",
     ],
     "reversing_trailers": [
         "A car pushes a trailer; above, with straight wheels, they fold up after a few metres; "
@@ -126,8 +126,7 @@ SHOWN = {
     ],
     "two_maps": [
         "Left, the path in the plane, a rosette of ellipses; right, the change of the energy "
-        "over time: bands for D_d by the midpoint map, a drift up or down for D_d by a one- "
-        "sided map.",
+        "over time: bands if D_d uses the midpoint map, a drift if it uses a one-sided map.",
     ],
     "uncertain_car": [
         "Left, the car at several instants in a left bend, 200 paths around it, and all last "
@@ -141,7 +140,7 @@ SHOWN = {
 
 
 def described(block: Any, variables: dict[str, Any], options: Any) -> str:
-    """Return the pictures of a block as Sphinx-Gallery does, with words on what they show."""
+    """Return the pictures of a block as Sphinx-Gallery does, with their descriptions."""
 
     def words(found: re.Match[str]) -> str:
         return f"{found[1]}{SHOWN[found[2]][int(found[3]) - 1]}"
