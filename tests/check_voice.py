@@ -2,10 +2,10 @@
 
 Usage: ``python check_voice.py [--list [PATH...] | --shrink]``
 
-It reads the prose of README.md, CONTRIBUTING.md and docs/, the docstrings of the package, the
-comments of the public headers, all texts in the code (messages, reports) and the help of the
-commands, and compares the number of findings with voice.toml, which may only shrink: a file with
-more findings fails, and so does one with fewer, until ``--shrink`` has lowered its number.
+It reads the prose of README.md, CONTRIBUTING.md, docs/, examples and notebooks, the docstrings of
+the package, the comments of the public headers, all texts in the code (messages, reports) and the
+help of the commands.  It compares the number of findings with voice.toml, which may only shrink.  A
+file with more findings fails, and so does one with fewer until ``--shrink`` has lowered its number.
 ``--list`` prints the findings of all files, or of those whose path begins with PATH.
 
 The rules are in ``RULES``, each with a sentence that breaks it and one that does not.  The end of a
@@ -15,6 +15,7 @@ sentence is a point, a question mark or a semicolon; a formula or a piece of cod
 from __future__ import annotations
 
 import ast
+import json
 import re
 import sys
 import tomllib
@@ -254,6 +255,21 @@ def python(path: str, source: str) -> Iterator[Text]:
                     yield Text(kind, path, node.lineno, body)
 
 
+def script(path: str, source: str) -> Iterator[Text]:
+    """Yield the prose of a script of the gallery: also the texts between its blocks of code."""
+    yield from python(path, source)
+    for match in re.finditer(r"^# %%\n((?:#.*\n)+)", source, flags=re.MULTILINE):
+        lines = re.sub(r"(?m)^# ?(?:[-=]{3,}$)?", "", match[1]).splitlines()
+        yield from paragraphs("docs", path, source.count("\n", 0, match.start(1)) + 1, lines)
+
+
+def notebook(path: str, source: str) -> Iterator[Text]:
+    """Yield the prose of a notebook; a line is that in its cell."""
+    for cell in json.loads(source)["cells"]:
+        if cell["cell_type"] == "markdown":
+            yield from markdown("docs", path, "".join(cell["source"]))
+
+
 def c_parts(source: str) -> Iterator[tuple[int, str, str]]:
     """Yield the comments and the literals of a source of C: line, first character, content.
 
@@ -299,6 +315,8 @@ def texts() -> list[Text]:
         ("README.md", lambda *x: markdown("readme", *x)),
         ("CONTRIBUTING.md", lambda *x: markdown("readme", *x)),
         ("docs/**/*.md", lambda *x: markdown("docs", *x)),
+        ("examples/*.py", script),
+        ("notebooks/*.ipynb", notebook),
         ("python/dalembert/**/*.py", python),
         ("include/**/*.h", c),
         ("csrc/**/*.[ch]", c),
@@ -355,7 +373,8 @@ def shrink(found: list[Finding], allowed: dict[tuple[str, str], int]) -> None:
 
 def example(suffix: str, source: str) -> list[str]:
     """Return the findings in a source, as "kind line"."""
-    read = {".md": lambda *x: markdown("docs", *x), ".py": python, ".c": c, ".h": c, "dev": shell}
+    read = {".md": lambda *x: markdown("docs", *x), ".py": python, ".c": c, ".h": c, "dev": shell,
+            "script": script, ".ipynb": notebook}  # fmt: skip
     found = findings(list(read[suffix]("include/x/cli/" + suffix, source)))
     return [f"{one.kind} {one.line}" for one in found]
 
@@ -373,6 +392,10 @@ EXAMPLES = [
     (".c", 'f("%s goes on"\n  " for ever")\n', ["messages 1"]),
     (".h", f"int x; /* one\n         two.\n         {BAD} */\n", ["header 3"]),
     (".h", f"int x;\n/* Fine. {BAD}\n *\n *     goes on */\n", ["header 2"]),
+    ("script", f"# goes on\n\n# %%\n# Head\n# ----\n# {BAD}\n\nx = 1\n", ["docs 6"]),
+    (".ipynb", json.dumps({"cells": [{"cell_type": "code", "source": [BAD]},
+                                     {"cell_type": "markdown", "source": ["# A\n", BAD]}]}),
+     ["docs 2"]),
     ("dev", f"cat <<'TEXT'\nusage: dev\n\n  one   fine\n  two   {BAD}\nTEXT\nsay 'go on'\n",
      ["help 5", "help 7"]),
 ]  # fmt: skip
