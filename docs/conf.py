@@ -29,6 +29,7 @@ extensions = [
     "headers",
     "mathml",
     "names",
+    "palette",
     "wrapping",
 ]
 exclude_patterns = ["_static"]

@@ -25,6 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
+from dalembert.show.palette import COLOURS
 
 m, a, Omega = 1.0, 0.1, 2 * np.pi / 4  # the table turns once in 4 s
 balls = {"homogeneous": Fraction(2, 5), "hollow": Fraction(2, 3)}
@@ -71,7 +72,7 @@ dal.plot.snapshots(runs["homogeneous"], ax=axes[0], count=8)
 axes[0].set_title("from the room", loc="left")
 axes[0].set_title("", loc="right")
 reach = 1.1 * max(np.hypot(*run.q[:, :2].T).max() for run in runs.values())
-for ax, (name, run), colour in zip(axes[1:], runs.items(), ("#0072B2", "#009E73"), strict=True):
+for ax, (name, run), colour in zip(axes[1:], runs.items(), (COLOURS[0], COLOURS[2]), strict=True):
     track = (run.q[:, 0] + 1j * run.q[:, 1]) * np.exp(-1j * Omega * run.t)
     ax.add_patch(plt.Circle((0, 0), reach, facecolor="0.96", edgecolor="0.75"))
     for spoke in reach * np.exp(1j * np.pi * np.arange(3) / 3):

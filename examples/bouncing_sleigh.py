@@ -23,7 +23,7 @@ import sys
 import numpy as np
 
 import dalembert as dal
-from dalembert.show.plot import COLOURS
+from dalembert.show.palette import COLOURS
 
 system = dal.systems.knife_edge(gs=0.25)
 M = system.mass

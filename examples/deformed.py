@@ -24,7 +24,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
-from dalembert.show.plot import COLOURS, LINES
+from dalembert.show.palette import COLOURS
+from dalembert.show.plot import LINES
 
 particle = dal.systems.particle()
 h, t_end = 0.01, 6.0

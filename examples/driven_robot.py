@@ -23,7 +23,7 @@ import numpy as np
 import sympy
 
 import dalembert as dal
-from dalembert.show.plot import COLOURS
+from dalembert.show.palette import COLOURS
 
 x, y, theta, left, right = dal.coordinates("x y theta left right")
 torques = sympy.symbols("torque_left torque_right")

@@ -23,7 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
-from dalembert.show.plot import COLOURS
+from dalembert.show.palette import COLOURS
 
 # %%
 # A curve through the steps

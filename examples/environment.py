@@ -20,7 +20,7 @@ import numpy as np
 import sympy
 
 import dalembert as dal
-from dalembert.show.plot import COLOURS
+from dalembert.show.palette import COLOURS
 
 
 def make_cart():

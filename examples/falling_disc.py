@@ -24,6 +24,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import dalembert as dal
+from dalembert.show.palette import COLOURS
 
 m, r, g = 1.0, 0.5, 9.81
 A, C = m * r**2 / 4, m * r**2 / 2  # a homogeneous disc
@@ -97,9 +98,9 @@ figure, (space, ax) = plt.subplots(
     2, 1, figsize=(7.6, 6.6), height_ratios=(3.2, 1), layout="constrained"
 )
 dal.plot.snapshots(run, ax=space, count=12)
-ax.plot(run.t, lean, color="#0072B2", label="run in D")
+ax.plot(run.t, lean, color=COLOURS[0], label="run in D")
 other_lean = np.degrees(np.arcsin(other.y[5]))
-ax.plot(run.t[::20], other_lean[::20], "o", color="#D55E00", markersize=4, label="Newton, Euler")
+ax.plot(run.t[::20], other_lean[::20], "o", color=COLOURS[1], markersize=4, label="Newton, Euler")
 ax.set(xlabel="t (s)", ylabel="lean (degrees)", xlim=(0, run.t[-1]), ylim=(0, 58))
 ax.legend(frameon=False, ncols=2, loc="upper right")
 if len(sys.argv) > 1:

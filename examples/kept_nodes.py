@@ -24,7 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
-from dalembert.show.plot import COLOURS
+from dalembert.show.palette import COLOURS
 
 system = dal.systems.particle_oscillator()
 t_end, steps = 100.0, [0.1, 0.05]

@@ -23,7 +23,7 @@ import time
 import numpy as np
 
 import dalembert as dal
-from dalembert.show.plot import COLOURS
+from dalembert.show.palette import COLOURS
 
 h, steps = 4e-3, 5_000
 

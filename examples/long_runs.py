@@ -23,6 +23,7 @@ import numpy as np
 import sympy as sp
 
 import dalembert as dal
+from dalembert.show.palette import COLOURS
 
 t_end = float(sys.argv[2]) if len(sys.argv) > 2 else 1600.0
 x, y, z = dal.coordinates("x y z")
@@ -79,11 +80,11 @@ for (above, below), name in zip(axes.T, terms, strict=True):
     run = runs[name, "leapfrog"]
     part = int(np.clip(len(run.t) // 10, 1, 800))
     late = f"t = {run.t[-part]:.0f} to {run.t[-1]:.0f}"
-    above.plot(*run.q[-part:, [0, 2]].T, color="#D55E00", linewidth=1.1, label=late)
+    above.plot(*run.q[-part:, [0, 2]].T, color=COLOURS[1], linewidth=1.1, label=late)
     early = f"t = 0 to {run.t[part]:.0f}"
-    above.plot(*run.q[:part, [0, 2]].T, color="#0072B2", linewidth=1.1, label=early)
+    above.plot(*run.q[:part, [0, 2]].T, color=COLOURS[0], linewidth=1.1, label=early)
     above.set(xlabel="x", title=name)
-    for scheme, colour in zip(schemes, dal.plot.COLOURS[1:], strict=False):
+    for scheme, colour in zip(schemes, COLOURS[1:], strict=False):
         run = runs[name, scheme]
         error = np.maximum.accumulate(abs(run.energy - run.energy[0]))
         below.loglog(run.t[1:], error[1:], linewidth=2, color=colour, label=scheme)

@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
-from dalembert.show.plot import COLOURS
+from dalembert.show.palette import COLOURS
 
 scheme = sys.argv[1] if len(sys.argv) > 1 else "midpoint"
 knife_edge = dal.systems.knife_edge()

@@ -20,6 +20,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
+from dalembert.show.palette import COLOURS
 
 system = dal.systems.sleigh()
 exact = np.concatenate(system.exact(1.0))
@@ -77,17 +78,17 @@ moved = dal.integrate(system, "midpoint", h=h, steps=steps_drawn)
 kept = dal.integrate(system, "midpoint-nodes", h=h, steps=steps_drawn, initial="shift")
 for k, t in enumerate(moved.t):
     way.fill(*outline(system.exact(t)[0]), color="0.87", zorder=0)
-    for run, colour in ((moved, "#0072B2"), (kept, "#D55E00")):
+    for run, colour in ((moved, COLOURS[0]), (kept, COLOURS[1])):
         way.plot(*outline(run.q[k]), color=colour, linewidth=1.4)
         way.plot(*run.q[k, :2], "o", color=colour, markersize=5)
-    way.plot(*np.array([moved.q[k, :2], kept.q[k, :2]]).T, color="#D55E00", linewidth=2.5)
+    way.plot(*np.array([moved.q[k, :2], kept.q[k, :2]]).T, color=COLOURS[1], linewidth=2.5)
 way.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title=f"h = {h:g} s")
 styles = {
-    "moved nodes": ("#0072B2", "o", "-", 9),
-    "kept nodes, start in D": ("#E69F00", "s", "--", 9),
-    "kept nodes, start projected to D_eps": ("#CC79A7", "+", ":", 9),
-    "kept nodes, start shifted": ("#D55E00", "^", "-.", 6),
-    "the same, at q - h v/2": ("#000000", "x", ":", 7),
+    "moved nodes": (COLOURS[0], "o", "-", 9),
+    "kept nodes, start in D": (COLOURS[4], "s", "--", 9),
+    "kept nodes, start projected to D_eps": (COLOURS[3], "+", ":", 9),
+    "kept nodes, start shifted": (COLOURS[1], "^", "-.", 6),
+    "the same, at q - h v/2": (COLOURS[6], "x", ":", 7),
 }
 for name, (colour, marker, line, size) in styles.items():
     ax.loglog(

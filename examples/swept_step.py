@@ -25,6 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
+from dalembert.show.palette import COLOURS
 
 edge = dal.systems.knife_edge()
 t_end, h = 8.0, 8.0 / np.array([25, 50, 100, 200, 400, 800, 1600])
@@ -82,13 +83,13 @@ if __name__ == "__main__":
     )
     path = np.array([edge.exact(t)[0] for t in np.linspace(0, t_end, 500)])
     way.plot(path[:, 1], path[:, 0], color="0.6", linewidth=1, label="exact")
-    for k, colour in ((0, "#E69F00"), (2, "#000000")):
+    for k, colour in ((0, COLOURS[4]), (2, COLOURS[6])):
         x, y, heading = ensembles["midpoint"].member(k).q.T[:, :: 1 if k == 0 else 4]
         along = 0.12 * np.array([np.cos(heading), np.sin(heading)])
         blades = [y - along[1], y + along[1]], [x - along[0], x + along[0]]
         label = [f"h = {h[k]:g} s"] + [None] * (len(x) - 1)
         way.plot(*blades, color=colour, linewidth=5, label=label)
-    way.plot(path[-1, 1], path[-1, 0], "*", color="#D55E00", markersize=18, label="exact end")
+    way.plot(path[-1, 1], path[-1, 0], "*", color=COLOURS[1], markersize=18, label="exact end")
     way.set(xlabel="y, across the slope (m)", ylabel="x, downhill (m)", aspect="equal")
     way.set(xlim=(5.2, 8.85), ylim=(1.1, -0.3))
     way.legend(frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))

@@ -21,6 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
+from dalembert.show.palette import COLOURS
 
 robot = dal.systems.robot()
 # Steps so large that the maps differ; the warning of a large h is turned off.
@@ -53,7 +54,7 @@ if not bands[0.25, 0.5] < bands[0.5, 0.5] < 0.1 * bands[0.5, 0.0]:
 
 figure = plt.figure(figsize=(10.5, 5.2), layout="constrained")
 axes = figure.subplot_mosaic([["way", "midpoint"], ["way", "one-sided"]], width_ratios=(1, 1))
-colours = dict(zip(pairs, ("#0072B2", "#009E73", "#E69F00", "#CC79A7", "#D55E00"), strict=True))
+colours = dict(zip(pairs, (COLOURS[k] for k in (0, 2, 4, 3, 1)), strict=True))
 for pair in ((0.5, 1.0), (0.5, 0.5)):
     axes["way"].plot(*runs[pair].q[:, :2].T, color=colours[pair], linewidth=1.1)
 axes["way"].set(xlabel="x", ylabel="y", aspect="equal")

@@ -24,6 +24,7 @@ import numpy as np
 from scipy import stats
 
 import dalembert as dal
+from dalembert.show.palette import COLOURS
 
 car = dal.systems.steered_car()
 spread = {"m": 0.05, "J": 0.1, "K": 0.1, "l": 0.02}  # relative
@@ -66,8 +67,8 @@ figure, (place, time) = plt.subplots(
 )
 place.set(xlabel="x (m)", ylabel="y (m)")
 dal.plot.snapshots(nominal, ax=place, count=6)
-place.plot(*bands.q[:200, :, :2].T, color="#0072B2", alpha=0.08, linewidth=0.8)
-place.plot(*cars.q[:, :2].T, ".", color="#009E73", markersize=2.5, zorder=3)
+place.plot(*bands.q[:200, :, :2].T, color=COLOURS[0], alpha=0.08, linewidth=0.8)
+place.plot(*cars.q[:, :2].T, ".", color=COLOURS[2], markersize=2.5, zorder=3)
 place.set_title("200 ways, and all ends", loc="left")
 bands.plot("y", ax=time)
 time.set(xlabel="t (s)", ylabel="y (m)", title="y of 2048 cars")

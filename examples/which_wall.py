@@ -26,6 +26,7 @@ import sympy
 from matplotlib.colors import ListedColormap
 
 import dalembert as dal
+from dalembert.show.palette import COLOURS, GROUND
 
 count = int(sys.argv[2]) if len(sys.argv) > 2 else 22500
 x, y, theta = dal.coordinates("x y theta")
@@ -76,7 +77,7 @@ if not (again.q[-1] == runs.q[len(runs) // 3]).all():
 # %%
 # The map, and the paths of the marked runs in the room.
 
-colours = ListedColormap(["#DDDDDD", "#0072B2", "#D55E00", "#009E73", "#E69F00"])
+colours = ListedColormap([GROUND, COLOURS[0], COLOURS[1], COLOURS[2], COLOURS[4]])
 figure, (where, way) = plt.subplots(1, 2, figsize=(9.6, 4.9), layout="constrained")
 grid = runs.ended_by.reshape(runs.shape).T
 where.pcolormesh(speed, turning, grid, cmap=colours, vmin=-1.5, vmax=3.5, rasterized=True)

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from dalembert.show.palette import COLOURS
 from dalembert.show.table import Table, text
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "evidence"
@@ -92,6 +93,14 @@ def table(rows: Sequence[Row]) -> str:
     return text(Table(list(TITLES), cells, len(TITLES)).lines(sys.maxsize))
 
 
+def colours() -> Any:
+    """Return a context in which curves have the colours of the package."""
+    import matplotlib
+    from cycler import cycler
+
+    return matplotlib.rc_context({"axes.prop_cycle": cycler(color=COLOURS)})
+
+
 def picture(figure: Any) -> bytes:
     """Return a figure as a PNG of few colours."""
     from PIL import Image
@@ -132,7 +141,8 @@ def main(
             "rows": [asdict(row) | {"verdict": row.verdict} for row in rows],
         }
         (folder / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        png = picture(draw(data))
+        with colours():
+            png = picture(draw(data))
         if len(png) > BYTES:
             sys.exit(f"the picture has {len(png)} bytes, more than {BYTES}")
         (folder / f"{name}.png").write_bytes(png)

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from dalembert.show.palette import COLOURS, LIGHT
+
 OURS = ("leapfrog", "midpoint", "suzuki4", "bm4", "kl6", "bm6", "kl8", "ss10", "kl8 auto",
         "ss10 auto", "bm6 auto", "midpoint keep", "kl8 keep", "reference",
         "reference taylor")  # fmt: skip
@@ -26,14 +28,12 @@ ENERGY_COUNT = 3  # on so many reversible problems
 SLOWEST = 5.0  # of the energy picture, times the cpu time that is given
 WORK = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)  # errors of the energy
 
-# Okabe and Ito's colours: one for each peer; what belongs together differs by its line.
-BLUE, SKY, GREEN, RED, ORANGE, PINK, BLACK, GREY = (
-    "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7", "#000000", "#777777",
-)  # fmt: skip
-NAVY = "#0B2F6B"
+# One colour for each peer; curves of one peer differ by their lines and markers.
+BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK = COLOURS
+GREY = LIGHT["quiet"]
 STYLES = {
     "leapfrog": (BLUE, ":", "o"), "bm6": (BLUE, "--", "s"), "ss10": (BLUE, "-", "o"),
-    "kl8": (NAVY, "-", "D"), "kl8 auto": (NAVY, "--", "^"), "kl8 keep": (NAVY, ":", "D"),
+    "kl8": (BLUE, "-", "D"), "kl8 auto": (BLUE, "--", "^"), "kl8 keep": (BLUE, ":", "D"),
     "reference": (SKY, "-", "v"), "reference taylor": (SKY, "--", "^"),
     "heyoka": (RED, "--", "^"), "heyoka in D": (RED, "-", "^"),
     "GSL rk8pd": (ORANGE, "--", "v"), "GSL rk8pd in D": (ORANGE, "-", "v"),
@@ -102,6 +102,11 @@ def number(value: float | None, digits: int = 2) -> str:
         return "0"
     return f"{value:.{digits}g}" if 0.01 <= value < 100 else f"{value:.{digits - 1}e}".replace(
         "e-0", "e-").replace("e+0", "e")  # fmt: skip
+
+
+def sizes(problem: dict[str, Any]) -> str:
+    constraints = "1 constraint" if problem["m"] == 1 else f"{problem['m']} constraints"
+    return f"{problem['n']} coordinates, {constraints}"
 
 
 def power(value: float) -> str:
@@ -417,7 +422,7 @@ def page(results: dict[str, Any]) -> str:
     lines.append("")
     refused: dict[str, set[str]] = {}
     for p in results["problems"].values():
-        lines.append(f"- **{p['title']}**, n = {p['n']}, m = {p['m']}: {p['text']}.")
+        lines.append(f"- **{p['title']}**, {sizes(p)}: {p['text']}.")
         for name, reason in p["refused"].items():
             refused.setdefault(f"{name}: {reason}", set()).add(p["title"])
     lines.append("")
@@ -530,7 +535,7 @@ def figure_of(count: int, label_x: str, label_y: str, title: str) -> Any:
         ax.set_visible(i < count)
         ax.set(xscale="log", yscale="log", xlabel=label_x)
         ax.set_ylabel(label_y if i % columns == 0 else "")
-        ax.grid(True, which="major", color="#e5e5e5", lw=0.6)
+        ax.grid(True, which="major", color=LIGHT["rule"], lw=0.6)
         ax.spines[["top", "right"]].set_visible(False)
     return figure, list(axes.flat)[:count]
 
@@ -552,7 +557,7 @@ def write(results: dict[str, Any], folder: Path) -> None:
                              "The state at t = 100: blue is dalembert; left and low is good")
     todo = []
     for ax, p in zip(axes, problems):
-        ax.set_title(f"{p['title']} (n = {p['n']}, m = {p['m']})", fontsize=11)
+        ax.set_title(f"{p['title']} ({sizes(p)})", fontsize=11)
         curves = {name: [(1e3 * s, max(e, 1e-15)) for s, e in curve(p["state"][name]) if e < 3]
                   for name in STYLES if name in p["state"]}  # fmt: skip
         todo.append((ax, {k: v for k, v in curves.items() if v}))

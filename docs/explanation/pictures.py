@@ -21,7 +21,8 @@ from scipy.integrate import solve_ivp
 
 import dalembert as dal
 
-BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "0.5"
+BLUE, ORANGE, GREEN, PURPLE = dal.plot.COLOURS[:4]
+GREY = "0.5"
 
 
 def d_and_d_eps() -> Figure:

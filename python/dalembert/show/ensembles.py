@@ -8,7 +8,8 @@ import numpy as np
 
 from ..core import Array, arguments, extras
 from ..ensembles import Ensemble
-from .plot import COLOURS, Axes, axes_for, plain, with_unit
+from .palette import COLOURS, FAILED, GROUND
+from .plot import Axes, axes_for, plain, with_unit
 from . import web
 from .table import Table
 
@@ -111,10 +112,10 @@ def _map(found: Ensemble, what: str, ax: Axes) -> None:
     colors: Any = None
     if whole:
         colors = extras.require("matplotlib.colors", "a picture").ListedColormap(
-            ["#DDDDDD", *COLOURS[: max(1, int(np.nanmax(values)) + 1)]]
+            [GROUND, *COLOURS[: max(1, int(np.nanmax(values)) + 1)]]
         )
     limits = {"vmin": -1.5, "vmax": colors.N - 1.5} if whole else {}
-    ax.set_facecolor("#888888")  # members that failed
+    ax.set_facecolor(FAILED)
     mesh = ax.pcolormesh(x, y, values.T, cmap=colors, shading="nearest", rasterized=True, **limits)
     bar = ax.figure.colorbar(mesh, ax=ax)
     if whole:

@@ -14,7 +14,7 @@ from ..run import Solution
 from ..study import Study
 from ..symbolic import formula
 from ..system import System
-from . import plot, web
+from . import palette, plot, web
 from .table import Table, number
 
 WIDTH = 4.2  # inches: what is written stays readable on 360 points of a screen
@@ -144,8 +144,8 @@ def coordinates(run: Solution, name: str, caption: str = "") -> web.HTML:
     figure.subplots_adjust(0.65 / WIDTH, 0.45 / height, 0.97, 1 - 0.25 / height, hspace=0.5)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     for k, (x, ax) in enumerate(zip(shown, axes)):
-        ax.plot(run.t, run.q[:, k], color=plot.COLOURS[0])
-        ax.plot(run.t[:1], run.q[:1, k], color=plot.COLOURS[1], marker="o")
+        ax.plot(run.t, run.q[:, k], color=palette.COLOURS[0])
+        ax.plot(run.t[:1], run.q[:1, k], color=palette.COLOURS[1], marker="o")
         ax.set_title(label(system, x), loc="right", fontsize="medium", pad=4)
         ax.margins(x=0.02)
         plot.scientific(ax)

@@ -19,14 +19,13 @@ from .. import geometry
 from ..core import ROUNDOFF, Array, Pair, extras, residual_bound
 from ..run import Solution
 from ..study import Embedding, Studies, Study
+from .palette import COLOURS, PAPER
 
 __all__ = ["convergence", "drift", "energy", "path", "perturbation", "styles"]
 
 Style = Mapping[str, Any]
 Axes = Any  # of matplotlib
 
-# Okabe and Ito without the yellow, which is too light for a line on white.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)))
 
@@ -417,7 +416,7 @@ def _beside(ax: Axes, text: str, place: tuple[float, float], **more: Any) -> Non
 def _hollow(ax: Axes, x: Array, y: Array, line: Any, **more: Any) -> None:
     """Draw points with the marker and the colour of a line, but hollow."""
     marker, color = line.get_marker(), line.get_color()
-    ax.plot(x, y, linestyle="none", marker=marker, color=color, markerfacecolor="white", **more)
+    ax.plot(x, y, linestyle="none", marker=marker, color=color, markerfacecolor=PAPER, **more)
 
 
 def scientific(ax: Axes) -> None:

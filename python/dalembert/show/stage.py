@@ -11,22 +11,23 @@ import numpy as np
 from ..core import Array, extras
 from . import web
 from .bodies import ROLES, Shape
-from .plot import COLOURS, Axes, axes_for, plain
+from .palette import LIGHT
+from .plot import Axes, axes_for, plain
 from .scene import Scene
 
 ARROWS = ("velocity", "reaction")
 HEAD = 0.035  # of an arrow, in sizes of the picture
 
-_BLUE, _ORANGE, _GREEN, _PINK = COLOURS[:4]
 _LINES: dict[str, dict[str, Any]] = {
-    "ground": {"color": "0.82", "linewidth": 0.8},
-    "bar": {"color": "0.25", "linewidth": 1.6},
-    "blade": {"color": _ORANGE, "linewidth": 3.6, "capstyle": "butt"},
-    "dot": {"color": "0.1", "marker": "o", "markersize": 4, "linestyle": "none"},
-    "velocity": {"color": _BLUE, "linewidth": 1.6},
-    "reaction": {"color": _PINK, "linewidth": 2.0},
+    "ground": {"color": LIGHT["ground"], "linewidth": 0.8},
+    "bar": {"color": LIGHT["bar"], "linewidth": 1.6},
+    "blade": {"color": LIGHT["vermilion"], "linewidth": 3.6, "capstyle": "butt"},
+    "dot": {"color": LIGHT["ink"], "marker": "o", "markersize": 4, "linestyle": "none"},
+    "velocity": {"color": LIGHT["blue"], "linewidth": 1.6},
+    "reaction": {"color": LIGHT["purple"], "linewidth": 2.0},
 }
-_FILLS = {"plane": (_GREEN, 0.8), "body": (_BLUE, 1.4)}  # the colour, and the width of the edge
+# The colour, and the width of the edge.
+_FILLS = {"plane": (LIGHT["green"], 0.8), "body": (LIGHT["blue"], 1.4)}
 
 
 def arrow(points: Array, size: float) -> Array:
@@ -71,7 +72,7 @@ def draw(ax: Axes, shapes: Sequence[Shape], size: float, alpha: float = 1.0) -> 
 def draw_trails(ax: Axes, trails: Sequence[Array]) -> list[Any]:
     from matplotlib.collections import LineCollection
 
-    lines = LineCollection(trails, color=_BLUE, linewidth=1.1, alpha=0.75, zorder=2)
+    lines = LineCollection(trails, color=LIGHT["blue"], linewidth=1.1, alpha=0.75, zorder=2)
     return [ax.add_collection(lines, autolim=False)]
 
 

@@ -19,6 +19,7 @@ from ..core import DalembertWarning, extras
 from ..run import Scheme, Solution, integrate
 from ..symbolic import formula
 from ..system import System
+from .palette import BLACK, DARK, LIGHT, LINES, PAPER, variables
 
 HTML = Any  # markupsafe.Markup: text that is not escaped again
 # Its title, prose, and what is below it: a table, a picture, a program, or a list of sections,
@@ -43,9 +44,11 @@ def render(template: str, **values: Any) -> HTML:
     """Return a template with values.
 
     The value ``coordinates`` has the coordinates in formulas of prose, ``links`` the addresses of
-    names.  A name without an address is shown unchanged.
+    names.  A name without an address is shown unchanged.  Style sheets use ``colours``, and their
+    declarations ``light`` and ``dark``.
     """
-    return _mark(_templates().get_template(template).render(values))
+    colours = {"light": variables(LIGHT), "dark": variables(DARK), "colours": LIGHT}
+    return _mark(_templates().get_template(template).render(values | colours))
 
 
 @functools.cache
@@ -127,7 +130,7 @@ def svg(figure: Any, name: str, label: str, caption: str = "") -> HTML:
     """Return a figure as inline SVG: ids that begin with the name, a fixed salt, no date.
 
     Screen readers read the label.  Black becomes the colour of the text, and white the colour of
-    the page, which may be dark; blue is then lighter.
+    the page, which may be dark; the colours of lines are then lighter.
     """
     import matplotlib
 
@@ -137,9 +140,9 @@ def svg(figure: Any, name: str, label: str, caption: str = "") -> HTML:
         figure.savefig(buffer, format="svg", metadata=nothing, transparent=True)
     _, tag, text = buffer.getvalue().partition("<svg ")
     text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", text)
-    text = re.sub(r": #000000\b", ": currentColor", text)
-    text = re.sub(r": #ffffff\b", ": var(--paper, #fff)", text)
-    text = re.sub(r": #0072b2\b", ": var(--blue, #0072b2)", text)
+    text = text.replace(f": {BLACK}", ": currentColor")
+    for name, colour in {"paper": PAPER, **LINES}.items():
+        text = text.replace(f": {colour}", f": var(--{name}, {colour})")
     text = f'{tag}role="img" fill="currentColor" aria-label="{html.escape(label)}" {text}'
     frame = _mark("<figure>\n{}<figcaption>{}</figcaption></figure>")
     return frame.format(_mark(text), caption)

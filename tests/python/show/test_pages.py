@@ -245,7 +245,9 @@ def test_index(folder):
     assert len(page.ids) == len(set(page.ids)) and page.tags.count("svg") == len(NAMES)
     for name in NAMES:
         system = dal.systems.get(name)
-        assert f"n = {system.n}, m = {system.m}, {system.kind} constraints" in page.words
+        kind = "" if system.kind == "linear" else f"{system.kind} "
+        sizes = f"{system.n} coordinates, {system.m} {kind}constraint{'s' * (system.m > 1)}."
+        assert sizes in page.words
         assert system.help[1:].removesuffix(".") in page.words
     assert "script" not in page.tags and not re.search(r"http(?!://www.w3.org)", text)
 

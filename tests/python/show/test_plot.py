@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import re
 import sys
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -12,10 +14,12 @@ import pytest
 matplotlib.use("Agg")
 
 from matplotlib import pyplot  # noqa: E402
-from matplotlib.colors import to_hex  # noqa: E402
+from matplotlib.colors import to_hex, to_rgb  # noqa: E402
 
 import dalembert as dal  # noqa: E402
+from dalembert.show import palette  # noqa: E402
 
+ROOT = Path(__file__).resolve().parents[3]
 STEPS = (10, 15, 20, 30)
 ROUNDOFF = 2.0**-53
 
@@ -151,8 +155,45 @@ def test_styles_differ_without_colour():
     for one, other in itertools.combinations(found.values(), 2):
         assert (one["marker"], one["linestyle"]) != (other["marker"], other["linestyle"])
     assert len({style["color"] for style in found.values()}) == 7
-    okabe_ito = {"#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"}
+    okabe_ito = {"#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"}
     assert {style["color"] for style in found.values()} == okabe_ito
+
+
+def contrast(one, other):
+    """Return the contrast of two colours as WCAG 2 defines it."""
+
+    def luminance(colour):
+        rgb = np.array(to_rgb(colour))
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        return linear @ [0.2126, 0.7152, 0.0722] + 0.05
+
+    low, high = sorted((luminance(one), luminance(other)))
+    return high / low
+
+
+def test_colours_are_readable_on_light_and_on_dark_pages():
+    assert contrast("white", "black") == pytest.approx(21)
+    assert palette.LIGHT.keys() == palette.DARK.keys()
+    for colours in (palette.LIGHT, palette.DARK):
+        for name in ("ink", "quiet", "good", "bad", "blue"):
+            assert contrast(colours[name], colours["paper"]) > 4.5, name
+    for name in palette.LINES:
+        assert contrast(palette.DARK[name], palette.DARK["paper"]) > 4.5, name
+
+
+def test_the_palette_is_the_only_place_of_colours():
+    """No file has colours of its own, and style sheets use variables that are defined."""
+    found = {}
+    for folder in ("benchmarks", "docs/explanation", "examples", "experiments", "python/dalembert"):
+        for path in (ROOT / folder).rglob("*"):
+            if path.suffix in (".py", ".css", ".html", ".js"):
+                found[path.name] = path.read_text(encoding="utf-8")
+    colour = r"#(?:[0-9a-fA-F]{6}|[0-9a-fA-F]{3})\b"
+    assert [name for name in found if re.search(colour, found[name])] == ["palette.py"]
+    sheets = "".join(text for name, text in found.items() if name.endswith((".css", ".html")))
+    own = set(re.findall(r"--([a-z-]+):", sheets)) | {"jp-layout-color", "jp-error-color"}
+    used = set(re.findall(r"var\(--([a-z-]+)", sheets)) - {"vscode-editor-background"}
+    assert {"ink", "blade", "jp-layout-color"} <= used <= own | palette.LIGHT.keys()
 
 
 def test_drift_has_both_sets_on_log_axes():
@@ -312,7 +353,7 @@ def test_styles_of_the_caller_are_used(studies):
     ax = dal.plot.convergence(studies[0], styles={"midpoint": {"color": "black", "marker": "x"}})
     assert ax.lines[0].get_marker() == "x"
     ax = dal.plot.convergence(studies, styles={"explicit": {"color": "red"}})
-    assert [line.get_color() for line in ax.lines[::2]] == ["#0072B2", "red", "#009E73"]
+    assert [line.get_color() for line in ax.lines[::2]] == ["#0072b2", "red", "#009e73"]
 
 
 def test_bad_arguments_are_named(studies, run):
