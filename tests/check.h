@@ -8,6 +8,7 @@
 #include <math.h>
 #include <stdbool.h>
 #include <stdio.h>
+#include <stdlib.h>
 
 static struct {
     unsigned long passed, failed;
@@ -23,6 +24,13 @@ static inline void check_true(bool condition, const char *text, const char *file
 {
     check_record(condition);
     if (!condition) fprintf(stderr, "%s:%d: failed: %s\n", file, line, text);
+}
+
+/* Whether long loops are to be short ones: under valgrind or a sanitizer, which see what there is to
+ * see in a line when it has run a few times. */
+static inline bool brief(void)
+{
+    return getenv("DALEMBERT_BRIEF") != NULL;
 }
 
 /* NaN is near nothing; an infinity is near itself. */

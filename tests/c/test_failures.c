@@ -313,6 +313,7 @@ enum { SCHEMES = sizeof schemes / sizeof schemes[0] };
 
 static void test_disturbed_steps(const char *system, unsigned missing, way by, size_t every)
 {
+    if (brief()) every *= 7;
     size_t recovered = 0;
     for (size_t i = 0; i < SCHEMES; i++) {
         bench b;
@@ -721,6 +722,7 @@ static void test_exact_and_invariants(void)
 
 static void test_disturbed_flow(dal_flow_method method, size_t every)
 {
+    if (brief()) every *= 7;
     enum { ROWS = 5 };
     const double tolerance = 1e-6;
     fault f;
@@ -775,6 +777,7 @@ static void test_disturbed_flow(dal_flow_method method, size_t every)
 
 static void test_disturbed_study(const char *scheme_name, size_t every)
 {
+    if (brief()) every *= 7;
     static const size_t steps[3] = {2, 4, 8};
     enum { COUNT = 3 };
     fault f;

@@ -271,6 +271,16 @@ def test_where_the_cache_is(monkeypatch, tmp_path):
     assert compiler.entries() == []
 
 
+def test_flags_of_the_user(monkeypatch):
+    """They come last, for models with lanes and without, and are part of the key."""
+    monkeypatch.setenv("DALEMBERT_CFLAGS", "-O1 '-DNAME=a b'")
+    code = "from dalembert import compiler as c; print(*c.COMMON[-2:], *c.FLAGS, sep=';')"
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    printed = done.stdout.strip().split(";")
+    assert printed[:2] == ["-O1", "-DNAME=a b"]
+    assert printed[2:] == [*compiler.COMMON, *printed[:2], *compiler.FLAGS[len(compiler.COMMON) :]]
+
+
 def test_command(cache, capsys):
     slide(), slide(k=2)
     (cache / "left.new").write_text("")

@@ -152,7 +152,7 @@ static void test_random(void)
     static factors f;
     double worst = 0.0, most = 0.0;
     for (int k = 0; k < KINDS; k++)
-        for (int trial = 0; trial < TRIALS; trial++) {
+        for (int trial = 0; trial < (brief() ? TRIALS / 20 : TRIALS); trial++) {
             const size_t m = 1 + (size_t)(fabs(next_number(&seed)) * MOST) % MOST;
             double x[MOST];
             fill(&A, (kind)k, m, &seed);

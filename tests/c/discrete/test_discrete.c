@@ -1285,7 +1285,7 @@ int main(void)
     test_rotations();
     test_translations();
     test_force_times();
-    test_energy();
+    if (!brief()) test_energy();
     test_exact_particle();
     test_moods();
     test_errors();

@@ -1026,7 +1026,7 @@ static void test_rest(void)
     enum { STEPS = 100 };
     const double tolerance = 16 * STEPS * h * U;
     unsigned seed = 5;
-    for (int trial = 0; trial < 6; trial++) {
+    for (int trial = 0; trial < (brief() ? 1 : 6); trial++) {
         double g[3];
         for (size_t i = 0; i < 3; i++) g[i] = 2.0 * next_number(&seed) - 1.0;
         const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .potential = hung_potential,
@@ -1092,7 +1092,7 @@ static void test_far(const char *name, double far)
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK,
                                 kept ? DAL_INITIAL_D : DAL_INITIAL_NONE) == 0);
-        for (int step = 0; step < 300; step++) {
+        for (int step = 0; step < (brief() ? 10 : 300); step++) {
             CHECK(dal_step(stepper, NULL) == 0);
             CHECK(residual_of(system, shift, dal_stepper_state(stepper)) <= DAL_RESIDUAL_BOUND(n));
         }
@@ -1105,7 +1105,7 @@ static void test_far(const char *name, double far)
     need(dal_chart_new(&chart, system, NULL), "chart", "");
     need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
     memcpy(y, x, 2 * n * sizeof *y);
-    for (int step = 0; step < 300; step++) {
+    for (int step = 0; step < (brief() ? 10 : 300); step++) {
         CHECK(dal_chart_choose(chart, 0.0, NULL, y) == 0);
         CHECK(dal_chart_drop(chart, y, xi) == 0);
         CHECK(dal_chart_step(chart, 0.0, 0.5, 0.1, xi, NULL) == 0);

@@ -114,7 +114,7 @@ static void test_steps(void)
     static const double betas[][2] = {{0.25, 0.5}, {0.5, 0.25}, {0.0, 1.0},
                                       {1.0, 0.0},  {0.5, 0.5},  {0.75, 0.75}};
     for (size_t s = 0; s < DAL_LENGTH(names); s++)
-        for (size_t j = 0; j < DAL_LENGTH(pairs); j++) {
+        for (size_t j = 0; j < DAL_LENGTH(pairs); j += brief() ? 4 : 1) {
             const dal_scheme scheme = find_scheme(pairs[j]);
             const dal_pair maps = {{.beta = betas[j][0]}, {.beta = betas[j][1]}};
             /* two ways to the same equations, each solved to 64 u for nodes, q/h away from v */
@@ -134,7 +134,7 @@ static void test_own_maps(void)
         const dal_pair swapped = {maps.constraint, maps.lagrangian};
         dal_scheme scheme = {.name = "bent", .data = &maps};
         scheme.family = find_scheme("pair:0:0").family;
-        check_steps(names[s], &scheme, &maps, h, 0);
+        if (!brief()) check_steps(names[s], &scheme, &maps, h, 0);
         scheme.data = &swapped;
         check_steps(names[s], &scheme, &swapped, h, 0);
         dal_system_free(system);

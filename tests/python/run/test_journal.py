@@ -4,7 +4,6 @@ import os
 import pickle
 import random
 import signal
-import time
 import warnings
 
 import numpy as np
@@ -15,7 +14,6 @@ import dalembert as dal
 from dalembert.run import journal as journals
 
 M, J = 2.0, 0.75
-KILLS = 200
 
 
 def force(t, q, v, u):
@@ -252,7 +250,7 @@ def test_an_exception_within_a_composed_step(tmp_path):
         force=pushed,
     )  # fmt: skip
     whole = dal.integrate(system, "leapfrog-suzuki4", h=0.1, steps=40)
-    for k, at in enumerate(np.linspace(0.05, 3.5, 24)):
+    for k, at in enumerate(np.linspace(0.05, 3.5, 8)):
         path, limit[0] = tmp_path / f"{k}.dal", at
         with pytest.raises(KeyError):
             dal.integrate(system, "leapfrog-suzuki4", h=0.1, steps=40, journal=path)
@@ -322,74 +320,63 @@ def test_a_journal_is_read_while_it_is_written(tmp_path):
 # ---- kills ---------------------------------------------------------------------------------------
 
 
-def die(delay, make):
-    """Run something in a child, which is killed after a delay; return how far it said it was."""
+def die(at, make):
+    """Run something in a child, which kills itself at a step; return the last that it had shown."""
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(reader)
+
+        def show(done, total):
+            os.write(writer, f"{done}\n".encode())
+            if done >= at:
+                os.kill(os.getpid(), signal.SIGKILL)
+
         try:
-            make(lambda done, total: os.write(writer, f"{done}\n".encode()))
+            make(show)
         finally:
             os._exit(0)
     os.close(writer)
-    time.sleep(delay)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
     with os.fdopen(reader) as lines:
-        said = lines.read().split()
-    return int(said[-1]) if said else None
+        return int(lines.read().split()[-1])
 
 
-def test_kills(tmp_path, monkeypatch):
-    """Killed at random, gone on with, killed again, gone on with: what was said to be there is."""
+@pytest.mark.parametrize("kind", ["inputs and events", "long"])
+def test_kills(tmp_path, monkeypatch, kind):
+    """Killed, resumed, killed again, resumed: each step that was shown is in the file."""
     monkeypatch.setattr(journals, "SECONDS", 0.003)
     monkeypatch.setattr("dalembert.run.runs.PIECE_SECONDS", 0.002)
+    if kind == "long":
+        system, scheme, functions = dal.systems.sleigh(), "leapfrog-kl6", {}
+        options = {"h": 0.01, "steps": 20_000, "stride": 100}
+    else:
+        system, scheme = cart(), "midpoint"
+        functions = {"inputs": control, "events": [WALL, TURN]}
+        options = {"h": 0.05, "steps": 300, "stride": 2, "hold": 3}
+    whole = dal.integrate(system, scheme, **options, **functions)
+    given = {"system": given_system(system), **functions}
     random.seed(7)
-    small = {"h": 0.05, "steps": 300, "stride": 2, "hold": 3}
-    long = {"h": 0.01, "steps": 200_000, "stride": 100}
-    kinds = [
-        (cart(), "midpoint", small, {"inputs": control, "events": [WALL, TURN]}, 0.05),
-        (dal.systems.sleigh(), "leapfrog-kl6", long, {}, 0.12),
-    ]
-    wholes = [dal.integrate(a, b, **c, **d) for a, b, c, d, _ in kinds]
-    begun = ended = 0
-    for k in range(KILLS):
-        (system, scheme, options, functions, most), whole = kinds[k % 2], wholes[k % 2]
+    for k in range(8):
         path = tmp_path / f"{k}.dal"
-        said = die(
-            random.uniform(0, most),
+        first, second = sorted(random.uniform(0, 0.5) * options["steps"] for _ in range(2))
+        calls = [
             lambda show: dal.integrate(
                 system, scheme, **options, **functions, journal=path, progress=show
             ),
-        )
-        if not path.exists():  # it was killed before the file had its name
-            assert said is None
-            continue
-        begun += 1
-        given = {"system": given_system(system), **functions}
-        for round_ in range(2):
-            if said:
-                with warnings.catch_warnings(action="ignore"):
-                    found = dal.load(path, given["system"])
-                rows = said // options["stride"] + 1
-                assert len(found.x) >= rows
-                np.testing.assert_array_equal(found.x, whole.x[: len(found.x)])
-                np.testing.assert_array_equal(found.reactions, whole.reactions[: len(found.x) - 1])
-                ended += round_ == 0 and len(found.x) == len(whole.x)
-            if round_ == 0:
-                later = die(
-                    random.uniform(0, most / 2),
-                    lambda show: dal.resume(path, **given, progress=show),
-                )
-                said = max(later or 0, said or 0)
+            lambda show: dal.resume(path, **given, progress=show),
+        ]
+        for at, call in zip((first, second + 0.2 * options["steps"]), calls):
+            shown = die(at, call)
+            with warnings.catch_warnings(action="ignore"):
+                found = dal.load(path, given["system"])
+            assert shown // options["stride"] + 1 <= len(found.x)
+            np.testing.assert_array_equal(found.x, whole.x[: len(found.x)])
+            np.testing.assert_array_equal(found.reactions, whole.reactions[: len(found.x) - 1])
         with warnings.catch_warnings(action="ignore"):
             run = dal.resume(path, **given)
         assert_same(run, whole)
         assert run.stats == whole.stats
-        path.unlink()
-    print(f"{KILLS} kills: {begun} files, {ended} of them whole")
-    assert begun > KILLS * 0.4 and ended < begun / 2
 
 
 # ---- what does not fit ---------------------------------------------------------------------------
