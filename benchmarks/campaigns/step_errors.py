@@ -1,6 +1,6 @@
 """How well the estimate of the error of a run tells an h that is too large, on random runs.
 
-    ./dev shell python tests/step_errors.py --seed 1 --runs 1000 [--show]
+    ./dev shell python benchmarks/campaigns/step_errors.py --seed 1 --runs 1000 [--show]
 
 It is not part of the test suites.  Run k of seed S is made from (S, k) alone.  The systems keep
 their energy, lose it, are driven, or grow; they have 1 to 8 coordinates, no constraint or linear,

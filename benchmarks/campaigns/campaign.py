@@ -1,6 +1,8 @@
 """A random campaign: random systems, all schemes, judged by code that shares nothing with ours.
 
-    ./dev shell python tests/campaign.py --seed 1 --minutes 10 [--only KIND] [--repeat CASE]
+    ./dev shell python benchmarks/campaigns/campaign.py --seed 1 --minutes 10
+
+``--only KIND`` and ``--repeat CASE`` run some of it.
 
 It needs SciPy's neighbours only: NumPy, mpmath and SymPy, and is quicker with gmpy2.  It is not
 part of the test suites.  Case k of seed S is made from (S, k) alone, so that `--seed S --repeat k`

@@ -1,6 +1,8 @@
 """A random campaign of reversible steps: wells, walls, encounters, pendulums and stiff springs.
 
-    ./dev shell python tests/campaign_reversible.py --seed 1 --count 500 [--repeat CASE]
+    ./dev shell python benchmarks/campaigns/campaign_reversible.py --seed 1 --count 500
+
+``--repeat CASE`` runs one of them.
 
 It is not part of the test suites.  Case k of seed S is made from (S, k) alone.  A case has 1 to 4
 degrees of freedom, a constraint or none, and may start at rest, in the flat middle of its well, or
