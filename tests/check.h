@@ -26,8 +26,8 @@ static inline void check_true(bool condition, const char *text, const char *file
     if (!condition) fprintf(stderr, "%s:%d: failed: %s\n", file, line, text);
 }
 
-/* Whether long loops are to be short ones: under valgrind and the sanitizers, for which a few passes
- * show as much as many. */
+/* Whether long loops are to be short: under valgrind and the sanitizers, where a few passes show as
+ * much as many. */
 static inline bool brief(void)
 {
     return getenv("DALEMBERT_BRIEF") != NULL;
