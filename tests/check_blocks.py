@@ -216,7 +216,7 @@ def main(*pages: str) -> None:
             os.chdir(folder)
             ran = Page(page.name).run(text)
             os.chdir(here)
-            for picture in Path(folder).iterdir() if takes_pictures else ():
+            for picture in Path(folder).glob("*.[pg][ni][gf]") if takes_pictures else ():
                 shown = re.search(rf"(?:\]\(|{{image}} )([\w/-]*{re.escape(picture.name)})\b", text)
                 if shown:
                     shutil.copy(picture, page.parent / shown[1])
