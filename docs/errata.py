@@ -575,8 +575,8 @@ def kept_nodes_from_D() -> Rows:
             velocity.append(error(v1, exact[n:]))
             multiplier.append(error(reaction, system.multipliers(exact[:n], exact[n:])))
     (v_D, lambda_D), (v_eps, lambda_eps) = errors.values()
-    yield order("v after one step, data in D and in D_eps", 2, v_D, v_eps)
-    yield order("multiplier of that step, data in D and in D_eps", 1, lambda_D, lambda_eps)
+    yield order("v after one step, data in D and in D_ε", 2, v_D, v_eps)
+    yield order("multiplier of that step, data in D and in D_ε", 1, lambda_D, lambda_eps)
     h, q, (vx, vy, vz) = 0.1, particle.q0, particle.v0
     reaction = step(particle, "midpoint-nodes", h, initial="D")[2]
     y, middle = q[1], q[1] + h / 2 * vy
@@ -625,7 +625,7 @@ def swinging_particle(simplified: bool) -> float:
     return worst
 
 
-@point("E24", "D_eps, remark deformation, eqs. DefCons and heps")
+@point("E24", "D_ε, remark deformation, eqs. DefCons and heps")
 def deformed_constraint() -> Rows:
     system, h = four(), 0.1
     v = system.project(system.q0, system.v0, shift=h / 2)

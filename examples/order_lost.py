@@ -41,7 +41,7 @@ def error(scheme, initial, count, back=0.0):
 curves = {
     "moved nodes": ("midpoint", None, 0.0, 2),
     "kept nodes, start in D": ("midpoint-nodes", "D", 0.0, 1),
-    "kept nodes, start projected to D_eps": ("midpoint-nodes", "project", 0.0, 1),
+    "kept nodes, start projected to D_ε": ("midpoint-nodes", "project", 0.0, 1),
     "kept nodes, start shifted": ("midpoint-nodes", "shift", 0.0, 1),
     "the same, at q - h v/2": ("midpoint-nodes", "shift", 0.5, 2),
 }
@@ -86,7 +86,7 @@ way.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title=f"h = {h:g} s")
 styles = {
     "moved nodes": (COLOURS[0], "o", "-", 9),
     "kept nodes, start in D": (COLOURS[4], "s", "--", 9),
-    "kept nodes, start projected to D_eps": (COLOURS[3], "+", ":", 9),
+    "kept nodes, start projected to D_ε": (COLOURS[3], "+", ":", 9),
     "kept nodes, start shifted": (COLOURS[1], "^", "-.", 6),
     "the same, at q - h v/2": (COLOURS[6], "x", ":", 7),
 }

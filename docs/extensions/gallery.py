@@ -70,10 +70,10 @@ SHOWN = {
         "lean over time, a wave on which the points from Newton's and Euler's equations lie.",
     ],
     "kept_nodes": [
-        "Two panels, h = 0.1 and 0.05: states of moved nodes on the vertical axis, off D_eps "
+        "Two panels, h = 0.1 and 0.05: states of moved nodes on the vertical axis, off D_ε "
         "alone; states of kept nodes on the horizontal axis, off D alone; half as far for half "
         "the step.",
-        "Residuals over time: at moved nodes roundoff for D and near 0.1 for D_eps; "
+        "Residuals over time: at moved nodes roundoff for D and near 0.1 for D_ε; "
         "at kept nodes the two have changed places.",
     ],
     "killed_run": [
@@ -106,7 +106,7 @@ SHOWN = {
         "The path of the particle in space, which climbs ever more steeply. At several instants "
         "it shows the velocity and the disc of velocities that the constraint allows.",
         "Residuals of a run of midpoint over time: roundoff for D, between 1e-2 and 1e-4 for "
-        "D_eps.",
+        "D_ε.",
     ],
     "reversing_trailers": [
         "A car pushes a trailer; above, with straight wheels, they fold up after a few metres; "

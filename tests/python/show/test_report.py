@@ -19,7 +19,7 @@ from conftest import Page
 
 import dalembert as dal
 from dalembert import cli
-from dalembert.show import table
+from dalembert.show import palette, table
 from dalembert.core import files
 
 STEPS = (10, 15, 20, 30)
@@ -121,7 +121,10 @@ def test_pictures_follow_the_colours_of_the_page(text):
         assert not re.search(r"(?:fill|stroke): (?:#000000|#ffffff|black|white)", picture)
         assert 'fill="currentColor"' in picture and "stroke: currentColor" in picture
         assert float(re.search(r'width="([\d.]+)pt"', picture)[1]) < 320
-    assert "var(--paper, #fff)" in "".join(pictures)  # hollow markers
+        assert not re.search(rf"(?<!, ){'|(?<!, )'.join(palette.LINES.values())}", picture)
+    everything = "".join(pictures)
+    assert "var(--paper, #ffffff)" in everything  # hollow markers
+    assert "var(--blue, #0072b2)" in everything and "var(--vermilion, #d55e00)" in everything
 
 
 def test_four_schemes_at_most_in_a_picture(tmp_path):
