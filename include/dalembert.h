@@ -620,9 +620,9 @@ typedef struct dal_run {
                                estimate, and observers, controls and events are not called again */
     size_t checks;          /* number of steps still to be repeated after the last step.  Call
                                dal_run_go until it is 0; then dal_stats has the estimate */
-    double until;           /* end time for variable steps; the run ends there, or after `steps`. x
-                               needs room for one more row, because the last state is always
-                               stored */
+    double until;           /* end time for variable steps; the run ends there, or after `steps`.
+                               The array x needs room for one more row, because the last state is
+                               always stored */
     double held;            /* for variable steps, instead of hold: row k of inputs applies from
                                t_begin + k held to t_begin + (k+1) held */
     double *row_times;      /* for variable steps: the times of the rows of x; or NULL */

@@ -1,8 +1,8 @@
 /* dalembert/ensemble.h - many runs of a system: other initial data, parameters, step sizes.
  *
- * A member is a run.  What fails, leaves a domain or does not converge is the end of that member
- * alone, and each has the bits that it would have by itself, whatever the others do and in whatever
- * order, and on however many threads, they are made.  The rules of dalembert.h hold. */
+ * A member is a run.  A failure ends that member only.  Each member gives bitwise the same result
+ * as a run by itself, for any other members, any order and any number of threads.  The rules of
+ * dalembert.h hold. */
 #ifndef DALEMBERT_ENSEMBLE_H
 #define DALEMBERT_ENSEMBLE_H
 
@@ -15,63 +15,67 @@ extern "C" {
 /* <cdef> */
 /* ---- ensembles ------------------------------------------------------------------------- */
 
-/* Members: zero-initialise, then set what is wanted.  What is given for them is rows, `next`
- * numbers apart; next = 0: the first row is that of all of them. */
+/* The members of an ensemble: zero-initialise it, then set members.  Each input is an array of
+ * rows, `next` numbers apart.  If next = 0, the first row applies to all members. */
 typedef struct dal_members {
     size_t count;
-    const double *x;            /* [2n] initial data; NULL: those of the system by default, with
-                                   the parameters of the member */
+    const double *x;            /* [2n] initial data; NULL: the default initial data, with the
+                                   parameters of the member */
     size_t x_next;
-    const void *parameters;     /* [dal_system_parameter_size] bytes; NULL: those of the system */
+    const void *parameters;     /* [dal_system_parameter_size] bytes; NULL: the parameters of the
+                                   system */
     size_t parameters_next;     /* in bytes */
     const double *h;            /* [1] */
     size_t h_next;
-    const size_t *steps;        /* [1], multiples of stride, if that is not 0, and then all the
-                                   same */
+    const size_t *steps;        /* [1]; if stride is not 0, multiples of it, the same for all
+                                   members */
     size_t steps_next;
-    const double *inputs;       /* [ceil(steps/hold)*inputs] as of a dal_run; NULL: 0 */
+    const double *inputs;       /* [ceil(steps/hold)*inputs] as in a dal_run; NULL: 0 */
     size_t inputs_next, hold;
-    const dal_law *control;     /* or NULL: of the inputs, evaluated where they change; a ctx that
-                                   is NULL is that of the member's system */
+    const dal_law *control;     /* or NULL: the law of the inputs, evaluated when they change.  If
+                                   its ctx is NULL, it gets the ctx of the member's system */
     double t0;
     dal_consistency consistency;
     dal_initial initial;
-    const dal_event *events;    /* [event_count] or NULL; a ctx that is NULL is that of the
-                                   member's system: its parameters */
+    const dal_event *events;    /* [event_count] or NULL; an event whose ctx is NULL gets the ctx of
+                                   the member's system, its parameters */
     size_t event_count;
-    const dal_law *resets;      /* [event_count] or NULL: the resets of those events whose values
-                                   are not NULL, with a ctx as that of control; scratch is own */
-    int lanes;                  /* 1: several members are stepped at once by vector instructions,
-                                   where the system was compiled for it and there are neither
-                                   events nor inputs.  A member then does not depend on the others
-                                   either, but its bits are of this kind of machine */
-    size_t stride;              /* 0: one row of results for each member, its end; else
-                                   steps/stride + 1, the first that of its beginning */
-    /* Results, each NULL if it is not wanted, and NaN where the member has not come to, or where
-     * energy, residual or multipliers are not defined.  In D_eps for kept nodes. */
-    double *states;             /* [count*rows*2n]; the last row of a member that a terminal event
-                                   has ended is the state there */
+    const dal_law *resets;      /* [event_count] or NULL: the resets of those events for which
+                                   values is not NULL, with ctx as for control.  The member scratch
+                                   is not used */
+    int lanes;                  /* 1: vector instructions advance several members at once, if the
+                                   system was compiled for this and has neither events nor inputs.
+                                   A member does not depend on the others, but its bits are specific
+                                   to this kind of machine */
+    size_t stride;              /* 0: one row of results for each member, the end; else steps/stride
+                                   + 1 rows, the first for the beginning */
+    /* Results, each may be NULL.  Values are NaN after the failure of a member, and if energy,
+     * residual or multipliers are not defined.  For kept nodes the states lie in D_eps. */
+    double *states;             /* [count*rows*2n]; if a terminal event ended a member, its last row
+                                   is the state there */
     double *energy, *residual;  /* [count*rows] */
-    double *multipliers;        /* [count*rows*m] as of dal_trajectory; residual: its relative */
-    double *reactions;          /* [count*(rows-1)*m] as of a dal_run, [count*m] for stride = 0 */
-    double *t_end;              /* [count] the time that the member has come to */
-    size_t *done;               /* [count] steps made */
-    size_t *happened;           /* [count*event_count] how often each event has */
-    size_t *ended_by;           /* [count] the event that has ended the member, else event_count */
+    double *multipliers;        /* [count*rows*m] as of dal_trajectory; residual is its output
+                                   relative */
+    double *reactions;          /* [count*(rows-1)*m] as in a dal_run, [count*m] for stride = 0 */
+    double *t_end;              /* [count] the time that the member reached */
+    size_t *done;               /* [count] steps taken */
+    size_t *happened;           /* [count*event_count] the number of occurrences of each event */
+    size_t *ended_by;           /* [count] the event that ended the member, else event_count */
     size_t *doubts;             /* [count] as of dal_events_doubts */
-    int *status;                /* [count] 0; or what it has failed with; DAL_STOPPED: unfinished */
+    int *status;                /* [count] 0 or the status of a failure; DAL_STOPPED: unfinished */
     dal_stats *stats;           /* [count] */
-    dal_error *errors;          /* [count] in words; text is empty where nothing has failed */
+    dal_error *errors;          /* [count]; text is empty if the member did not fail */
 } dal_members;
 
-/* Runs the members first, ..., first + count - 1.  Threads may do so at once with ranges that do
- * not meet, as far as the callbacks of the system may.  Memory is allocated once a call, not for
- * members.  watch (or NULL) sees how many members of the range are done; those that it does not let
- * go on are DAL_STOPPED, and the one that was being made has its rows until then.  options may be
- * NULL.
- * DAL_EINVAL (an argument that is wrong for all: the text names it; a system without parameters),
- * DAL_ENOMEM, DAL_EUNSUPPORTED (events with a scheme that cannot be resumed), DAL_STOPPED,
- * DAL_EUSER (of the watch); DAL_SUCCESS also where members fail. */
+/* Runs the members first, ..., first + count - 1.  Several threads may call it at once with
+ * disjoint ranges, if the callbacks of the system are thread-safe.  Memory is allocated once per
+ * call, not per member.  The function watch (or NULL) gets the number of members of the range that
+ * are done.  If it stops the call, the remaining members are DAL_STOPPED, and the current one keeps
+ * its rows so far.  The pointer options may be NULL.  The return value is DAL_SUCCESS even if
+ * members fail.
+ * Errors: DAL_EINVAL (an argument invalid for all members, which the text names; a system without
+ * parameters); DAL_ENOMEM; DAL_EUNSUPPORTED (events with a scheme that cannot be resumed);
+ * DAL_STOPPED; DAL_EUSER (from watch). */
 DAL_API int dal_ensemble_run(const dal_system *system, const dal_scheme *scheme,
                              const dal_options *options, const dal_members *members, size_t first,
                              size_t count, dal_watch_fn watch, void *ctx, dal_error *error);
