@@ -167,10 +167,10 @@ DAL_API int dal_step_equations(dal_mechanics *mechanics, double t, double beta, 
 
 /* Evaluates count rows (q, v) of x[count*2n].  Row k has the time t0 + k h and row k of the inputs
  * (NULL: those of dal_mechanics_input).  If constraints depend on inputs, row k of these has to be
- * the inputs that the state satisfies.  The outputs are energy[count]; multipliers[count*m] by
- * (lambdax), which have the order of the rows (rmkpdisc); residual[count*m] = phi(q - shift v, v);
- * relative[count] as dal_relative_residual.  Outputs may be NULL.  On failure *done (or NULL) <-
- * the number of rows evaluated. */
+ * the inputs that the state satisfies.  The outputs are energy[count]; multipliers[count*m] as
+ * dal_multipliers, which have the order of the rows (rmkpdisc); residual[count*m] = phi(q - shift
+ * v, v); relative[count] as dal_relative_residual.  Outputs may be NULL.  On failure *done (or
+ * NULL) <- the number of rows evaluated. */
 DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift,
                            size_t count, const double *x, const double *inputs, double *energy,
                            double *multipliers, double *residual, double *relative, size_t *done);

@@ -34,7 +34,8 @@ typedef enum dal_order_fit {
 typedef struct dal_order_point {
     double h;
     size_t steps;
-    double q, v, multipliers;         /* errors at t_end, of lambda(q, v) by (lambdax) */
+    double q, v, multipliers;         /* errors at t_end; multipliers are those of
+                                         dal_multipliers */
     double local_state;               /* error of (q, v) after one step from exact data (porder) */
     double local_multipliers;         /* error of lambda(q, v) after that step */
     double local_reaction;            /* the scheme's own multiplier of that step, compared with
