@@ -3,14 +3,14 @@
  *     M dv/dt = F + mu^T lambda,   mu dv/dt = -g,   so   C lambda = -(mu M^-1 F + g)
  *
  * with M = L_vv, F = L_q - L_vq v - L_vt + f, mu = phi_v, g = phi_q v + phi_t, C = mu M^-1 mu^T.
- * M, where it is not constant, and C are factored as L D L^T, without a root.  They are refused as
- * elsewhere: scaled to a unit diagonal, size times the trace of the inverse, which is not below the
- * condition, may be at most DAL_LU_CONDITION.
+ * C, and M if it is not constant, are factored as L D L^T, without a root.  The criterion of
+ * acceptance is the usual one.  For the matrix scaled to a unit diagonal, its size times the trace
+ * of its inverse may be at most DAL_LU_CONDITION.  This product is not below the condition number.
  *
- * One text, many compilations, as kernel.h: where sizes and patterns are constants nothing is left
- * but the products that are not zero.  Whoever calls it looks into what it refuses: a number that
- * is not finite enters the result, since 0 times NaN is NaN.  Header only: generated code has no
- * library to link. */
+ * One text, many compilations, as in kernel.h: if sizes and patterns are constants, only the
+ * nonzero products remain.  The caller determines the cause of a failure.  A number that is not
+ * finite enters the result, since 0 times NaN is NaN.  Header only: generated code has no library
+ * to link. */
 #ifndef DALEMBERT_FIELD_H
 #define DALEMBERT_FIELD_H
 
@@ -22,24 +22,24 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-/* Whether an entry of a matrix may be other than 0: bit a*n + i for entry (a, i), so n <= 8; or
- * DAL_KERNEL_ALL.  Terms with the others are left out. */
+/* Whether an entry of a matrix may be nonzero: bit a*n + i for entry (a, i), so n <= 8; or
+ * DAL_KERNEL_ALL.  Terms with other entries are omitted. */
 #define DAL_KERNEL_ALL (~0ULL)
 #define DAL_KERNEL_HAS(mask, index) \
     ((mask) == DAL_KERNEL_ALL || ((mask) != 0 && ((mask) >> (index) & 1)))
 
 typedef struct dal_kernel dal_kernel;
 
-/* Makes steps steps of kernel; *done <- how many succeeded. */
+/* Takes a number of steps of kernel; *done <- the number of successful steps. */
 typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
 
-/* xdot[2n] <- the ODE on D at x[2n], as field.h has it; u[inputs] of the force, M^-1[n*n] where M
- * is constant, ctx of the callbacks.  0 where the library has to look why. */
+/* xdot[2n] <- the field of the ODE on D at x[2n], by field.h. The arguments include the inputs
+ * u[inputs] of the force, M^-1[n*n] if M is constant, and ctx of the callbacks.  Returns 0 on
+ * failure; the library then determines the cause. */
 typedef int (*dal_field_fn)(double t, const double *x, const double *u, const double *mass_inverse,
                             double *xdot, void *ctx);
 
-/* A step routine that was compiled for one system: what compiled of its dal_system_def points
- * to. */
+/* A step routine compiled for one system, for the member compiled of its dal_system_def. */
 #define DAL_COMPILED_ABI 13u
 typedef struct dal_lanes_routine dal_lanes_routine;
 typedef struct dal_compiled {
@@ -52,7 +52,7 @@ typedef struct dal_compiled {
     dal_field_fn field;             /* or NULL */
 } dal_compiled;
 
-/* Which entries may be other than 0, as in a dal_pattern. */
+/* Masks of the entries that may be nonzero, as in a dal_pattern. */
 typedef struct dal_field_zeros {
     unsigned long long inverse; /* M^-1, and L^-1 where M is not constant */
     unsigned long long L;       /* of that M */
@@ -63,7 +63,7 @@ typedef struct dal_field_zeros {
 #define DAL_FIELD_ALL \
     {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL}
 
-/* What the field is made of, and where it is worked out. */
+/* The terms of the field, and the workspace. */
 typedef struct dal_field_terms {
     const double *F, *mu, *g; /* [n], [m*n], [m] */
     const double *inverse;    /* M^-1: its diagonal where M is diagonal, */
@@ -76,8 +76,9 @@ typedef struct dal_field_terms {
     double *w;                /* [2*m], and [2*n] if there is an M */
 } dal_field_terms;
 
-/* A[n*n], of which the lower triangle is read, <- below its diagonal L, and pivot[n] <- D^-1.
- * Whether A is positive definite, and not too ill-conditioned.  w[2*n] is scratch. */
+/* Factors A[n*n], of which the lower triangle is read: L replaces A below the diagonal, and
+ * pivot[n] <- D^-1.  Returns whether A is positive definite and not too ill-conditioned.  The array
+ * w[2*n] is workspace. */
 DAL_LU_INLINE bool dal_field_factor(size_t n, unsigned long long L, unsigned long long inverse,
                                     double *A, double *pivot, double *w)
 {
@@ -125,7 +126,7 @@ DAL_LU_INLINE void dal_field_substitute(size_t n, unsigned long long L, const do
             if (DAL_KERNEL_HAS(L, k * n + i)) x[i] -= A[k * n + i] * x[k];
 }
 
-/* y[n] <- M^-1 f, of an f with these entries, for the entries of y that are asked for. */
+/* y[n] <- M^-1 f, for an f with these entries. */
 DAL_LU_INLINE void dal_field_accelerate(size_t n, dal_field_zeros has, const dal_field_terms *w,
                                         unsigned long long given, const double *f, double *y)
 {
@@ -150,7 +151,8 @@ DAL_LU_INLINE unsigned long long dal_field_row(unsigned long long mask, size_t n
     return mask == DAL_KERNEL_ALL ? mask : mask >> a * n & ((1ULL << n) - 1);
 }
 
-/* xdot[2n] <- (v, dv/dt) at v[n].  Whether M and C are regular, and xdot is finite if v is. */
+/* xdot[2n] <- (v, dv/dt) at v[n].  Returns whether M and C are regular, and xdot is finite if v is.
+ */
 DAL_LU_INLINE bool dal_field_solve(size_t n, size_t m, dal_field_zeros has,
                                    const dal_field_terms *w, const double *v, double *xdot)
 {

@@ -1,44 +1,47 @@
 /* kernel.h - the step routine of every scheme, for every system.
  *
- * A record of sub-steps {beta, fraction} becomes a list of stages.  With q~ and v the state, A, B
- * and the weights those of struct dal_stage, a stage of constant mass, linear constraints and no
- * force that depends on v (V is then less what a force does) is
+ * A scheme of sub-steps {beta, fraction} becomes a list of stages.  Let q~ and v be the state, and
+ * A, B and the weights those of struct dal_stage.  For constant mass, linear constraints and no
+ * force that depends on v (V includes other forces), a stage is
  *
  *     q_k = q~ + A h v
  *     M (v' - v) = -h [start V_q(q~) + node V_q(q_k) + end V_q(q~')] + mu(q_k)^T kappa
  *     q~' = q_k + B h v',      mu(q~') v' = 0
  *
- * which is the beta-scheme (DAELd1, DAELd2, Facil) for A = 1-beta, B = beta, and the fused pair
- * (0, a), (1, b) for A = a, B = b: V then enters at the node only, and kappa is the only unknown.
- * Those of other systems are in momentum.h.
- * lambda = kappa / ((A+B) h).  What stands at q~, q_k, q~' is evaluated at the times t, t + A h and
- * t + (A+B) h; each is t0 + (k + c) h with the number k of the step and a constant c of the stage,
- * so that no rounding adds up, and the end of a step is the time of dal_stepper_time to the bit.
+ * This is the beta-scheme (DAELd1, DAELd2, Facil) for A = 1-beta, B = beta.  It is the fused pair
+ * (0, a), (1, b) for A = a, B = b; V then enters at the node only, and kappa is the only unknown.
+ * Stages of other systems are in momentum.h.  The multiplier is lambda = kappa / ((A+B) h).
  *
- * How it is solved.  Newton on (v', kappa) with the Hessian of V dropped needs one m x m matrix
+ * Terms at q~, q_k, q~' are evaluated at the times t, t + A h and t + (A+B) h. Each time is t0 + (k
+ * + c) h with the number k of the step and a constant c of the stage, so rounding errors do not
+ * accumulate.  The end of a step is dal_stepper_time to the bit.
+ *
+ * Solution.  Newton's iteration for (v', kappa) without the Hessian of V needs one m x m matrix
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
- * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of the
- * change v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from
- * those of the three stages before; so these two evaluations of the constraint do not wait for each
- * other.  After a correction mu is evaluated at the q~' that the *stored* state gives back, unless
- * it is V_q alone that still moves.  The stage is done when the residual of D there (residual.h) is
- * at most half of its bound of 4 n u; else this evaluation serves the next correction, or, where
- * the residual is a rounding of v' or q~', v' is mended at that q~'.  So most stages evaluate the
- * constraint three times, and what is stored lies in D because it was looked at.  What does not
- * contract, leaves the domain of a callback or is not finite goes to dal_kernel.finish: the full
- * Newton matrix with the Hessian, and halved steps.  So does a negative det S: as h goes to 0 it
- * goes to that of mu M^-1 mu^T, which is positive, and where it has changed its sign on the way the
- * solution is not the one that small h lead to.
+ * factored once a stage at the predicted velocity.  The pull is the part of v' - v that is not
+ * known in advance: M^-1 mu^T kappa, and V_q if it acts at q~'.  It is predicted from the pulls of
+ * the three stages before, so these two evaluations of the constraint are independent.  After a
+ * correction mu is evaluated at the q~' recovered from the *stored* state, unless only V_q still
+ * changes.
  *
- * Beside x the stepper carries low, what x lacks of the sums that it is a rounding of; all
- * increments are added to it too, and the next stage begins with x + low, but for what is only
- * predicted, which does not wait for it.
+ * The stage is complete when the residual of D there (residual.h) is at most half of its bound of 4
+ * n u.  Otherwise this evaluation serves the next correction.  If the residual is a rounding of v'
+ * or q~', v' is corrected at that q~'.  So most stages evaluate the constraint three times, and the
+ * stored state lies in D because its residual was checked.
  *
- * In a steady system mu depends only on coordinates that no reaction pushes (a blade whose heading
- * is free).  Where V does not act at q~' either, mu(q~') is known before v', the equations are
- * linear in kappa, and the first correction is the solution.  Where the system is proved to be
- * steady mu is not evaluated again; where it is only declared so it is, and a false declaration is
- * found out.
+ * The function dal_kernel.finish completes a stage that does not contract, leaves the domain of a
+ * callback or is not finite.  It uses the full Newton matrix with the Hessian, and halved steps.
+ * It also completes a stage with det S < 0.  As h goes to 0, det S tends to the positive
+ * determinant of mu M^-1 mu^T; a change of sign means that the solution is spurious.
+ *
+ * The array low is the rounding error of x (compensated summation): the exact sum is x + low.
+ * Every stage starts from x + low; predictions use x alone, so they do not wait for low.
+ *
+ * In a steady system mu depends only on coordinates on which no constraint force acts (a blade with
+ * a free heading).  If V does not act at q~' either, mu(q~') is known before v'.  The equations are
+ * then linear in kappa, and the first correction is the solution.  If the system is proved to be
+ * steady, mu is not evaluated again.  If it is only declared, it is evaluated, and a false
+ * declaration is detected.
  *
  * One text, many compilations.  The includer defines
  *     DAL_KERNEL                  name of the function: int (dal_kernel *, size_t, size_t *)
@@ -54,9 +57,9 @@
  *                                 also DAL_KERNEL_MASS, 0 if all stages are of these, and
  *                                 DAL_KERNEL_KIND, _FORMS, _BALANCE, _VALUES, _START: how the
  *                                 system is called, as they are written below for pointers
- * and includes this file once for each.  All compilations make the same operations in the same
- * order but for terms that are 0, so they give the same bits (build with -ffp-contract=off).
- * Nothing here allocates, and nothing here needs libdalembert or GSL. */
+ * and includes this file once for each.  All compilations execute the same operations in the same
+ * order, except for terms that are 0, so they give the same bits (build with -ffp-contract=off).
+ * Nothing here allocates memory or needs libdalembert or GSL. */
 #ifndef DALEMBERT_KERNEL_H
 #define DALEMBERT_KERNEL_H
 
@@ -84,25 +87,26 @@ typedef struct dal_stage {
     double past[5][4];       /* weights of the last changes of v, by how many there are */
 } dal_stage;
 
-/* Which entries may be other than 0: bit a*n + i for entry (a, i), so n <= 8; or DAL_KERNEL_ALL.
- * Terms with the others are left out. */
+/* Masks of the entries that may be nonzero: bit a*n + i for entry (a, i), so n <= 8; or
+ * DAL_KERNEL_ALL.  Terms with other entries are omitted. */
 typedef struct dal_pattern {
     unsigned long long inverse; /* M^-1 */
     unsigned long long mu, Z;   /* and Z = mu M^-1 */
     unsigned long long N;
-    unsigned long long pull;    /* [n] where v' is not known in advance: by Z, or V_q at q~' */
+    unsigned long long pull;    /* [n] entries of v' not known in advance, because of Z, or V_q at
+                                   q~' */
     unsigned long long kick;    /* [n] M^-1 V_q */
-    unsigned long long one;     /* [n] where M is 1, and couples with no other coordinate */
-    unsigned long long L_vq, F_q, F_v; /* of stages of momentum.h, where Z = mu K^-1, */
+    unsigned long long one;     /* [n] coordinates with mass 1 that M does not couple with others */
+    unsigned long long L_vq, F_q, F_v; /* for stages of momentum.h, where Z = mu K^-1, */
     unsigned long long K;       /* and the factors of K */
 } dal_pattern;
 
-/* What stopped a stage. */
+/* The cause of the failure of a stage. */
 typedef enum dal_failure {
     DAL_FAILED_CONSTRAINT, /* the callback returned nonzero: see returned */
     DAL_FAILED_POTENTIAL,
     DAL_FAILED_BALANCE,    /* the Lagrangian or the force: see returned */
-    DAL_FAILED_STEADY,     /* the system is not, as it was declared */
+    DAL_FAILED_STEADY,     /* the system is not steady, although declared */
     DAL_FAILED_FINISH      /* see finish */
 } dal_failure;
 
@@ -110,23 +114,23 @@ typedef enum dal_failure {
 typedef struct dal_arrays {
     double *x;                    /* [2n] the state */
     double *pull;                 /* [3n] the pulls of the last stages, the latest first */
-    double *low;                  /* [2n] what x lacks: the motion is at x + low */
+    double *low;                  /* [2n] rounding error of x: the exact sum is x + low */
     double *node, *point, *w;     /* [n] q_k, q~' of the last evaluation, the current v' */
     double *mu_node, *mu, *N;     /* [m*n] */
     double *base, *goal, *step;   /* [n] the known part of v', all of it but Z^T kappa, w' - w */
     double *seen;                 /* [n] the v' at whose q~' mu was evaluated last */
     double *stored;               /* [n] the position of the new state */
-    double *from;                 /* [n] q_k with what x lacks */
+    double *from;                 /* [n] q_k including low */
     double *lead, *push;          /* [n] the known part of q~' - q~ and of v' - v, and low */
     double *move;                 /* [2n] q~' - q~ and v' - v, before they are rounded to x' */
     double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
     double *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
     size_t *row;                  /* [m] */
-    /* those of the dal_kernel; with constants for them where the compilation knows that M is 1 */
+    /* as in dal_kernel; constants if the compilation knows that M is 1 */
     const double *mass_inverse, *unit, *per_unit;
-    size_t next;                  /* of mass_inverse to the next entry of the diagonal */
-    /* only for any sizes: */
-    const dal_rows *rows;         /* which entries of [m*n] are stored; NULL: all */
+    size_t next;                  /* distance in mass_inverse to the next entry of the diagonal */
+    /* only for variable sizes: */
+    const dal_rows *rows;         /* stored entries of [m*n]; NULL: all */
     bool dragged;                 /* V_q stands for -(L_q + f), f at the velocity there */
 } dal_arrays;
 
@@ -134,11 +138,11 @@ typedef struct dal_masses {
     const double *mass_inverse, *unit, *per_unit;
 } dal_masses;
 
-/* What a stage of momentum.h has beside them. */
+/* The additional arrays of a stage of momentum.h. */
 typedef struct dal_balance {
     double *known;                /* [n] the part of p' that is known at the start */
-    double *reaction, *residual;  /* [n] mu_k^T kappa; what is missing in the balance */
-    double *share;                /* [n] of the residual that is momentum */
+    double *reaction, *residual;  /* [n] mu_k^T kappa; the residual of the balance */
+    double *share;                /* [n] fraction of the residual that is momentum */
     double *phi;                  /* [m] */
     double *L_v, *F;              /* [n] at the last evaluation, F = L_q + f */
     double *unit, *per_unit;      /* [n] of residual.h for L_vv */
@@ -146,50 +150,53 @@ typedef struct dal_balance {
     double *K, *factors;          /* [n*n] */
 } dal_balance;
 
-/* L_v[n] and F[n], each or NULL; and, all of them or none, L_vq[n*n], L_vv[n*n], F_q[n*n] = dF/dq,
- * F_v[n*n] = dF/dv.  Terms of F_q may be left out. */
+/* Computes L_v[n] and F[n], each or NULL; and either all or none of L_vq[n*n], L_vv[n*n], F_q[n*n]
+ * = dF/dq and F_v[n*n] = dF/dv.  Terms of F_q may be omitted. */
 typedef int (*dal_balance_fn)(double t, const double *q, const double *v, double *L_v, double *F,
                               double *L_vq, double *L_vv, double *F_q, double *F_v, void *ctx);
 
-/* Everything down to finish, the arrays, t0, h and x are set by the owner, who then calls
- * dal_kernel_forget; the rest belongs to the step routine. */
+/* The owner sets all members down to finish, the arrays, t0, h and x, and then calls
+ * dal_kernel_forget.  The other members belong to the step routine. */
 struct dal_kernel {
     size_t n, m;
     dal_constraint_fn constraint;
-    dal_potential_fn potential; /* NULL: V = 0; of V - f where f depends on t and q alone */
-    dal_balance_fn balance_of;  /* of stages of momentum.h */
+    dal_potential_fn potential; /* NULL: V = 0; includes -f if f depends on t and q only */
+    dal_balance_fn balance_of;  /* for stages of momentum.h */
     void *constraint_ctx, *potential_ctx, *balance_ctx;
-    const double *input;        /* of the force, for code that is inside */
+    const double *input;        /* inputs of the force, for callbacks compiled with the kernel */
     dal_constraint_kind kind;
     const double *mass;                /* [n*n], NULL if it is not constant, */
     const double *mass_inverse;        /* [n*n] and its inverse */
     const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;
-    int steady;   /* a dal_steady, where V acts at no q~', or 0 */
-    bool turns;   /* coordinates that mu depends on may go evenly: see dal_kernel_leave */
+    int steady;   /* a dal_steady if V acts at no q~', else 0 */
+    bool turns;   /* coordinates that mu depends on may move uniformly, see dal_kernel_leave */
     size_t stages;
     const dal_stage *stage;
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
     bool plain;   /* V = 0, or acts at nodes q_k only; and moved nodes */
     double shift; /* 1 - beta */
-    /* What is left of a stage: the full Newton iteration from at.x, with kappa, if not solved; else
-     * the residual of D at what is stored, evaluated, and mended.  In at.stored and at.w. */
+    /* Completes a stage, with results in at.stored and at.w.  Unless solved, by the full Newton
+     * iteration from at.x, with kappa; else by evaluating and correcting the residual of D at the
+     * stored state. */
     int (*finish)(dal_kernel *k, double number, const dal_stage *s, bool solved);
     /* at.d[m] <- the moves of residual.h at at.point, at.w and the time t. */
     int (*measure)(dal_kernel *k, double t);
-    /* Where 1/|det S| of a stage leaves the range: how near C comes to losing its rank on the way
-     * from at.x.  Sets the range anew. */
+    /* Called if 1/|det S| of a stage leaves the range: determines how close C comes to losing rank
+     * during the step from at.x.  Sets a new range. */
     int (*look)(dal_kernel *k, double number, const dal_stage *s, double inverse);
-    /* Where there are at.rows: S of the stage from at.Z and mu + b N, factored, and at.S[0] <- log2
-     * of 1/|det S|; the sign of its determinant, 0 where it is singular.  And at.d <- S^-1 at.r. */
+    /* For systems with at.rows.  The function factor computes and factors S of the stage from at.Z
+     * and mu + b N, with at.S[0] <- log2 of 1/|det S|.  It returns the sign of the determinant, 0
+     * if S is singular.  The function solve computes at.d <- S^-1 at.r. */
     int (*factor)(dal_kernel *k, double b);
     void (*solve)(const dal_kernel *k);
 
-    double range[2];       /* from the first to the second, see look; of its log2 with at.rows */
+    double range[2];       /* bounds of 1/|det S|, or with at.rows of its log2, see look */
     double t0, h;          /* step k, counted in stats, begins at t0 + (k - first) h */
     size_t first;
-    const double *weight;  /* [stages+1], and where the sum of weight[i] (Y_i - Y_0) over the */
-    double *estimate;      /* states Y_i between the stages of a step is to go, [2n]; or NULL */
+    const double *weight;  /* [stages+1] weights, and the array for the sum of weight[i] (Y_i - Y_0)
+                              over the */
+    double *estimate;      /* states Y_i between the stages of a step, [2n]; or NULL */
     double *impulse;       /* [m] sum of kappa since dal_advance began */
     bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */
@@ -197,14 +204,14 @@ struct dal_kernel {
     bool carried;          /* momentum is known */
     double *momentum;               /* [n] p at q~ */
     double *forms;                  /* [m*n] mu at the node of a stage whose q~' is that node */
-    bool formed;           /* and so is that of the stage that follows in the same step */
+    bool formed;           /* and so is mu at the node of the next stage in the same step */
     double *latest, latest_span;    /* [m] kappa of the last stage, and its span */
-    double *history;                /* [4*n] of each kind of stage: v' - v, the latest first */
+    double *history;                /* [4*n] for each kind of stage: v' - v, the latest first */
     size_t kinds;
-    unsigned char *known;           /* of each kind, how many of them there are */
+    unsigned char *known;           /* number of known v' - v for each kind */
 
-    /* From at.x to at.N one block, laid out by dal_kernel_share: the step routine reaches its parts
-     * by constant offsets, and callbacks see the same addresses at every call. */
+    /* The arrays from at.x to at.N are one block, divided by dal_kernel_share.  So the step routine
+     * reaches its parts by constant offsets, and callbacks see the same addresses at every call. */
     dal_arrays at;
     dal_balance balance;
     double *saved;         /* [2n+m] x and impulse before a step of several stages */
@@ -216,30 +223,32 @@ struct dal_kernel {
     } failure;
 };
 
-/* What does not change while a stage is made; constants, as far as the compilation knows them. */
+/* The constant properties of a stage; compile-time constants if they are known. */
 typedef struct dal_traits {
     const dal_stage *stage;
-    double number; /* of the step, from 0 */
-    double t_end;  /* of the stage */
+    double number; /* number of the step, from 0 */
+    double t_end;  /* time of the end of the stage */
     dal_pattern has;
     bool plain, kept, potential, steady;
-    bool turns;  /* that of the dal_kernel, of moved nodes */
+    bool turns;  /* as in dal_kernel, for moved nodes */
     bool ends;     /* V_q acts at the unknown q~' */
     bool known;    /* mu(q~') needs no evaluation */
-    bool apart;    /* nor V_q: that is evaluated after S, which then need not wait for the state */
+    bool apart;    /* V_q is not needed either: it is evaluated after S, which need not wait for the
+                      state */
 } dal_traits;
 
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
 /* Half of the bound on the residual. */
 #define DAL_KERNEL_LIMIT(n) (2.0 * (double)(n) * DAL_KERNEL_U)
 
-/* What is left of the force equation when its iteration stops is at most 1/DAL_KERNEL_SAFETY of a
- * rounding of v': it has one sign from step to step and adds up in the energy. */
+/* When the iteration stops, the residual of the force equation is at most 1/DAL_KERNEL_SAFETY of a
+ * rounding of v'.  It has the same sign in each step, and accumulates in the energy. */
 #define DAL_KERNEL_SAFETY 256.0
-/* While V_q is not balanced yet, mu is not evaluated where the next correction is expected to be
- * less than this many roundings, 2^-31 of v': what is linear in mu is off by its square. */
+/* While V_q is not balanced, mu is not evaluated if the next correction is expected to be less than
+ * this many roundings, 2^-31 of v'.  Terms linear in mu then have an error of its square. */
 #define DAL_KERNEL_PASSING 0x1p20
-/* So many corrections, each at most half of the one before, and then the full Newton iteration. */
+/* Largest number of corrections, each at most half of the one before, before the full Newton
+ * iteration. */
 enum { DAL_KERNEL_CORRECTIONS = 16 };
 
 #if defined(__GNUC__)
@@ -252,7 +261,7 @@ enum { DAL_KERNEL_CORRECTIONS = 16 };
 #define DAL_KERNEL_RARE(condition) (condition)
 #endif
 
-/* Lays x ... N out in block[10*n + 3*entries], where mu has so many entries. */
+/* Divides block[10*n + 3*entries] into x ... N, with entries the number of entries of mu. */
 static inline void dal_kernel_share(dal_kernel *k, size_t entries, double *block)
 {
     const size_t n = k->n;
@@ -308,14 +317,14 @@ static inline int dal_kernel_forms(dal_kernel *k, double t, const double *q, con
     return k->constraint(t, q, v, phi, mu, N, NULL, k->constraint_ctx);
 }
 
-/* The time of what stands c steps behind the beginning of step number. */
+/* The time c steps after the beginning of step number. */
 DAL_KERNEL_INLINE double dal_kernel_time(const dal_kernel *k, double number, double c)
 {
     return k->t0 + (number + c) * k->h;
 }
 
-/* Sums begin with their first term, or with -0, which x + -0 = x lets the compiler leave out: 0 + x
- * costs an addition, and it is on the critical path. */
+/* Sums begin with their first term, or with -0.  The compiler can omit x + -0 = x, whereas 0 + x
+ * costs an addition on the critical path. */
 DAL_KERNEL_INLINE double dal_kernel_sum(size_t n, const double *x)
 {
     double sum = n > 0 ? fabs(x[0]) : 0.0;
@@ -366,7 +375,7 @@ DAL_KERNEL_INLINE double dal_kernel_form(const dal_arrays *at, size_t n, unsigne
     return sum;
 }
 
-/* Row a of mu[m*n], or of what is like it, times x[n]; component i of Z^T c. */
+/* Row a of mu[m*n], or of a similar matrix, times x[n]; component i of Z^T c. */
 DAL_KERNEL_INLINE double dal_kernel_product(const dal_arrays *at, size_t n, unsigned long long mask,
                                             const double *mu, size_t a, const double *x)
 {
@@ -380,13 +389,13 @@ DAL_KERNEL_INLINE double dal_kernel_reaction(const dal_arrays *at, size_t n, siz
                     : dal_kernel_column(n, m, mask, at->Z, i, c);
 }
 
-/* How many entries of [m*n] are stored. */
+/* The number of stored entries of [m*n]. */
 DAL_KERNEL_INLINE size_t dal_kernel_entries(const dal_arrays *at, size_t n, size_t m)
 {
     return at->rows ? dal_rows_entries(at->rows) : m * n;
 }
 
-/* How many terms are added up in mu w at most: n of the bound of the residual. */
+/* The largest number of terms in a sum of mu w, which is n in the bound of the residual. */
 DAL_KERNEL_INLINE size_t dal_kernel_terms(const dal_arrays *at, size_t n)
 {
     return at->rows ? at->rows->terms : n;
@@ -411,8 +420,9 @@ DAL_KERNEL_INLINE void dal_kernel_solve(const dal_kernel *k, const dal_arrays *a
     else dal_lu_solve(m, at->S, at->row, at->r, at->d);
 }
 
-/* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu and b N in the metric, its
- * columns those of mu_node; or, where there is one entry, both together that of its terms. */
+/* S <- (mu + b N) Z^T, factored.  The sizes of its rows are the norms of mu and b N in the metric,
+ * the sizes of its columns the norms of mu_node.  If there is one entry, its size is the sum of its
+ * terms. */
 DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, double b,
                                         const dal_arrays *at)
 {
@@ -439,11 +449,10 @@ DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, dou
     return dal_lu_factor(m, at->S, at->sizes, at->row);
 }
 
-/* From node i to q~'_i with the velocity w_i, by way.  Where it turns, the velocity is constant and
- * both ways are equal, they are the same number of ulps of q, so that the node is in the middle to
- * the bit: a blade that turns evenly then loses no energy to the rounding of a large angle.  Each
- * way has half of low: what it is rounded by is in low twice, and from the next two all of it goes
- * again. */
+/* From node i to q~'_i with the velocity w_i, by way.  If turns is true, the velocity constant and
+ * both ways equal, they have the same number of ulps of q. So the node is in the middle to the bit.
+ * Then a uniformly turning blade loses no energy to the rounding of a large angle.  Each way has
+ * half of low: its rounding error is in low twice, and the next two ways remove all of it. */
 DAL_KERNEL_INLINE double dal_kernel_leave(const dal_stage *s, size_t n, bool turns,
                                           const dal_arrays *at, size_t i, double w, double way)
 {
@@ -451,8 +460,8 @@ DAL_KERNEL_INLINE double dal_kernel_leave(const dal_stage *s, size_t n, bool tur
                ? at->node[i] + (at->node[i] - at->x[i]) : at->from[i] + way;
 }
 
-/* From the node and the new velocity to what is stored; point <- the q~' that it gives back.  With
- * kept nodes q_{k+1} = q_k + h v' is stored, and its reader recovers q~' as q_{k+1} - (1-beta) h
+/* Computes the stored position from the node and the new velocity; point <- the q~' recovered from
+ * it.  With kept nodes q_{k+1} = q_k + h v' is stored, and q~' is recovered as q_{k+1} - (1-beta) h
  * v'. */
 DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n,
                                         bool kept, bool turns, const dal_arrays *at)
@@ -466,9 +475,9 @@ DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s,
     }
 }
 
-/* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is within half of
- * its bound for every constraint, and then the statistics know it, which mostly have seen a larger
- * one; never if r is not finite. */
+/* r <- -mu w, with mu at the stored q~'. Returns true if the residual of every constraint is within
+ * half of its bound.  If so, stats.worst_residual is raised if the residual exceeds it.  Returns
+ * false if r is not finite. */
 DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                           const dal_arrays *at)
 {
@@ -492,8 +501,8 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal
     return settled;
 }
 
-/* Whether r may be all roundoff: of w, which is the sum of goal and Z^T kappa, and of q~', through
- * N.  No correction would make that smaller. */
+/* Whether r may be roundoff: of w, the sum of goal and Z^T kappa, and of q~', through N.  No
+ * correction would reduce it. */
 DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(size_t n, size_t m, dal_pattern has,
                                               const dal_arrays *at)
 {
@@ -516,8 +525,8 @@ DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(size_t n, size_t m, dal_pattern ha
 }
 
 /* One correction of w and kappa, from V_q(point) in k->force1 if ends, and mu and N at the q~' of
- * seen[n].  first: kappa was 0.  The equations are v' = goal + Z^T kappa, and mu v' + b N (v' -
- * seen) = 0, where b N (v' - seen) is how mu v' changes with q~'. */
+ * seen[n].  If first, kappa was 0.  The equations are v' = goal + Z^T kappa and mu v' + b N (v' -
+ * seen) = 0.  The term b N (v' - seen) is the change of mu v' with q~'. */
 DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s, size_t n,
                                          size_t m, dal_pattern has, bool ends, bool first,
                                          const double *seen, const dal_arrays *at)
@@ -559,8 +568,8 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
     }
 }
 
-/* Whether V_q need not be evaluated again after a correction of size, where the one before was
- * last: corrections shrink by as much again, and the next stage may give V_q more weight. */
+/* Whether V_q need not be evaluated again after a correction of size, if the one before was last.
+ * Corrections shrink by the same factor again, and the next stage may give V_q more weight. */
 DAL_KERNEL_INLINE bool dal_kernel_is_balanced(const dal_stage *s, bool first, double size,
                                               double last, double noise)
 {
@@ -568,7 +577,7 @@ DAL_KERNEL_INLINE bool dal_kernel_is_balanced(const dal_stage *s, bool first, do
     return DAL_KERNEL_SAFETY * size * (size / last) * s->reuse <= noise * fabs(s->end);
 }
 
-/* Adds what the state x[2n] after a stage contributes to the estimate; index: of the stage. */
+/* Adds the contribution of the state x[2n] after stage index to the estimate. */
 static inline void dal_kernel_estimate(dal_kernel *k, size_t index, size_t n, const double *x)
 {
     const double weight = k->weight[index + 1];
@@ -662,15 +671,15 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #else
 #define DAL_KERNEL_SIZES const size_t n = k->n, m = k->m; (void)m
 #endif
-/* An array that callbacks see, unless they are inside. */
+/* An array passed to callbacks, unless they are compiled with the kernel. */
 #if DAL_KERNEL_INSIDE
 #define DAL_KERNEL_SHARED(name, size, offset) double name[size]
 #else
 #define DAL_KERNEL_SHARED(name, size, offset) double *const name = x + (offset)
 #endif
 
-/* An index that stays a variable would keep an array in memory, also if that is off the hot path,
- * where the compiler does not unroll by itself. */
+/* A variable index would keep an array in memory, also in rarely executed code, in which the
+ * compiler does not unroll loops by itself. */
 #if DAL_KERNEL_INSIDE && DAL_N <= 8 && defined(__GNUC__)
 #define DAL_KERNEL_UNROLL _Pragma("GCC unroll 64")
 #else
@@ -699,7 +708,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(pull)(dal_kernel *k, const dal_arrays *at,
     return at->dragged ? dal_kernel_drag(k, t, q, v, V_q) : DAL_KERNEL_POTENTIAL(k, t, q, V_q);
 }
 
-/* base, push += what V adds at q_k, or at q~. */
+/* base, push += the contribution of V at q_k, or at q~. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel *k, const dal_traits *o,
                                             const dal_arrays *at)
 {
@@ -753,8 +762,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
         const int status = DAL_KERNEL_PART(kick)(k, o, at);
         if (status) return status;
     }
-    /* The latest pull enters last, q~' does not wait for v', nor what is only predicted for low: it
-     * is the critical path.  What is steady is not predicted, but known to the bit. */
+    /* The latest pull is added last; q~' does not wait for v', and predictions do not wait for low,
+     * because this is the critical path.  A steady coordinate is not predicted, but known to the
+     * bit. */
     for (size_t i = 0; i < n; i++) {
         const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
         double early = o->steady || o->potential ? at->base[i] : x[n + i];
@@ -786,7 +796,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(form_node)(dal_kernel *k, const dal_traits
                                  at->x + n, at->mu_node, NULL);
 }
 
-/* ---- look at C, where S, which is factored, is smaller or larger than it has been */
+/* ---- look: check of C if the determinant of the factored S leaves its range */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(look)(dal_kernel *k, const dal_traits *o,
                                             const dal_arrays *at)
 {
@@ -887,8 +897,8 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_finite)(size_t n, const dal_arrays *at
     return fabs(total) <= DBL_MAX;
 }
 
-/* ---- settle: whether what is stored has the residual that it has to have, and is finite; a kept
- * node would give back another q~' */
+/* ---- settle: whether the stored state is finite and has a small residual; a kept node would lead
+ * to another q~' */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *o,
                                                const dal_arrays *at, bool solved, bool settled)
 {
@@ -906,7 +916,7 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *
     return settled && DAL_KERNEL_PART(is_finite)(n, at);
 }
 
-/* ---- hand over what is left to k->finish; what is not finite is not solved */
+/* ---- hand_over: k->finish completes the stage; a state that is not finite is not solved */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits *o,
                                                  const dal_arrays *at, bool *solved)
 {
@@ -929,9 +939,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits
     return DAL_SUCCESS;
 }
 
-/* ---- commit.  What the new state lacks of the sum of x and move the next stage adds, so that
- * roundings of the sums do not add up (compensated summation; E. Hairer, R. McLachlan and
- * A. Razakarivony 2008); those of move, which is less by h, do. */
+/* ---- commit.  The next stage adds the rounding error of the sum of x and move, so these errors do
+ * not accumulate (compensated summation; E. Hairer, R. McLachlan and A. Razakarivony 2008).  Those
+ * of move, smaller by h, do accumulate. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *o,
                                                const dal_arrays *at, bool solved)
 {
@@ -963,8 +973,8 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *
     if (o->potential && !o->plain) k->forced = o->ends && solved;
 }
 
-/* A stage of step number, counted from 0.  plain is a constant where this is inlined: moved nodes,
- * and V = 0 or at nodes only, so that what serves only the others costs nothing. */
+/* A stage of step number, counted from 0.  The argument plain, a constant after inlining, means
+ * moved nodes, and V = 0 or at nodes only.  So code for other cases costs nothing. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double number,
                                              const dal_stage *const s, const bool plain,
                                              const dal_masses *const masses, double *const x,
@@ -980,7 +990,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     DAL_KERNEL_SHARED(mu_node, DAL_KERNEL_M * DAL_N, 10 * n);
     DAL_KERNEL_SHARED(mu, DAL_KERNEL_M * DAL_N, 10 * n + m * n);
     DAL_KERNEL_SHARED(N, DAL_KERNEL_M * DAL_N, 10 * n + 2 * m * n);
-    /* what no function outside sees: on the stack, for the registers */
+    /* not passed to other functions: on the stack, for the registers */
     double base[DAL_N], goal[DAL_N], step[DAL_N], seen[DAL_N], stored[DAL_N];
     double from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N];
     double Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
@@ -1065,7 +1075,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double num
                                                        double *pull)
 {
     DAL_KERNEL_SIZES;
-    /* inside, what is known at the node need not be computed again if that is a constant */
+    /* with callbacks inside, values known at the node need not be computed again if that is a
+       constant */
     if (DAL_KERNEL_INSIDE && !DAL_KERNEL_MASS)
         return DAL_KERNEL_PART(momentum)(k, number, s, false, x, pull + 3 * n);
     if (DAL_KERNEL_INSIDE && s->momentum && s->linear)
@@ -1085,7 +1096,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double num
 }
 #endif
 
-/* steps steps of k.  *done <- how many were made; on failure the state is that after the last. */
+/* Takes a number of steps of k; *done <- the number of successful steps.  On failure the state is
+ * that after the last of these. */
 static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 {
 #ifdef DAL_N

@@ -1,17 +1,16 @@
 /* lanes.h - the step routine of kernel.h for several members of an ensemble at once.
  *
- * Each member has a lane: its own time, step, masses, parameters and state.  What is a number in
- * kernel.h is here a vector with a component for each lane, which fits into a register.  A lane
- * makes the operations of kernel.h in their order, so that what it computes depends on nothing in
- * other lanes, and without functions of a vector math library it has the bits of kernel.h.  Where
- * one lane needs an operation all make it, and those that do not need it drop its result: a lane
- * that has converged is frozen.
+ * Each member has a lane: its own time, step, masses, parameters and state.  A number in kernel.h
+ * is here a vector with a component for each lane, which fits into a register.  A lane executes the
+ * operations of kernel.h in their order, so its results do not depend on other lanes.  Without
+ * functions of a vector math library they are bitwise those of kernel.h.  If one lane needs an
+ * operation, all execute it, and the others discard the result: a lane that has converged is
+ * frozen.
  *
  * This is the fast path alone: moved nodes, constant mass, linear constraints, callbacks that never
- * refuse, no force that depends on v.  A lane whose stage kernel.h would hand over to
- * dal_kernel.finish or look, or whose S is not seen to be regular without an estimate of its
- * inverse, stops where it stood before the step, for the step routine of kernel.h to go on from
- * there.
+ * refuse, no force that depends on v.  A lane stops before a step in which kernel.h would call
+ * dal_kernel.finish or look.  It also stops if only an estimate of the inverse could show that S is
+ * regular.  The step routine of kernel.h then continues from there.
  *
  * One text, a compilation for each set of instructions.  The includer defines
  *     DAL_LANES(name)             that name with an ending of its own for each set
@@ -35,7 +34,7 @@
  * Measured: worth a third with AVX2. */
 enum { DAL_LANES_TURNS = 2 };
 
-/* What all lanes have, and where the lanes are; of each vector in turn these arrays. */
+/* The common data of all lanes, and the arrays of the lanes, one set for each vector in turn. */
 typedef struct dal_lanes_block {
     const dal_stage *stage;
     size_t stages;
@@ -45,7 +44,8 @@ typedef struct dal_lanes_block {
     double *carried;     /* from step to step, see below */
 } dal_lanes_block;
 
-/* Where in carried the vectors are.  A flag is 1 or 0.  The counters are of what was made here. */
+/* The places of the vectors in carried.  A flag is 1 or 0.  The counters count the operations of
+ * this routine. */
 enum {
     DAL_LANES_GOING, DAL_LANES_PULLED, DAL_LANES_FORCED, /* flags */
     DAL_LANES_NUMBER, DAL_LANES_WORST,                   /* of the step; residual */
@@ -53,11 +53,11 @@ enum {
     DAL_LANES_X /* [2n], then pull[3n], low[2n], force[n], impulse[m], at least one */
 };
 
-/* steps steps of the lanes that go. */
+/* Takes a number of steps of the active lanes. */
 typedef void (*dal_lanes_fn)(const dal_lanes_block *block, size_t steps);
 
-/* A compilation: what lanes of a dal_compiled points to an array of, the widest first; at its end
- * vector is 0. */
+/* A compilation.  The member lanes of a dal_compiled points to an array of these, the widest first,
+ * that ends with vector = 0. */
 struct dal_lanes_routine {
     size_t vector, parameters; /* lanes of a vector; parameters of the system */
     dal_lanes_fn advance;
@@ -122,9 +122,9 @@ DAL_KERNEL_INLINE bool DAL_LANES(any)(dal_mask which)
         return x; \
     }
 
-/* The same functions of libmvec, which depend on nothing in other lanes either, and are off by at
- * most 4 units in the last place.  Where clang passes a vector depends on its command line: only
- * that of two lanes is always where libmvec looks for it. */
+/* The same functions of libmvec.  Their results do not depend on other lanes, and have errors of at
+ * most 4 units in the last place.  The calling convention of clang for vectors depends on its
+ * command line; only for two lanes it always agrees with libmvec. */
 #undef DAL_LANES_LIBRARY
 #if DAL_LANES_VECTOR == 8 && !defined(__clang__)
 #define DAL_LANES_LIBRARY "_ZGVeN8"
@@ -287,8 +287,7 @@ DAL_KERNEL_INLINE dal_vec DAL_LANES(speed)(const DAL_LANES(traits) *o, const dal
     return most;
 }
 
-/* ---- LU factors, as in lu.h; true where it is seen that S is regular, and its determinant
- * positive */
+/* ---- LU factors, as in lu.h; true if S is known to be regular with a positive determinant */
 DAL_KERNEL_INLINE void DAL_LANES(swap)(dal_mask which, dal_vec *a, dal_vec *b)
 {
     const dal_vec first = *a;
@@ -515,7 +514,7 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(factor)(const DAL_LANES(traits) *o, DAL_LAN
 
 /* ---- iterate */
 
-/* r <- -mu w; of these lanes those whose residual is within half of its bound. */
+/* r <- -mu w; returns those of these lanes whose residual is within half of its bound. */
 DAL_KERNEL_INLINE dal_mask DAL_LANES(find_settled)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
                                                    DAL_LANES(arrays) *at, dal_mask which)
 {
@@ -561,7 +560,8 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(is_roundoff)(const DAL_LANES(traits) *o,
     return roundoff;
 }
 
-/* The new value in these lanes; in all where no others matter, and nothing waits for which. */
+/* The new value in these lanes; in all lanes if no others matter, so that nothing waits for which.
+ */
 #define DAL_LANES_TAKE(all, which, value, old) \
     ((all) ? (value) : DAL_LANES(choose)(which, value, old))
 
@@ -602,7 +602,7 @@ DAL_KERNEL_INLINE void DAL_LANES(newton)(const DAL_LANES(traits) *o, const DAL_L
         const dal_vec next = at->goal[i] + reaction;
         at->move[DAL_N + i] += reaction;
         at->step[i] = next - at->w[i];
-        at->w[i] = next; /* of a lane that is frozen the same again */
+        at->w[i] = next; /* a frozen lane keeps its value */
     }
     for (size_t i = 0; i < DAL_N; i++) {
         const dal_vec way = b * at->w[i];
@@ -611,7 +611,8 @@ DAL_KERNEL_INLINE void DAL_LANES(newton)(const DAL_LANES(traits) *o, const DAL_L
     }
 }
 
-/* Whether corrections go on shrinking; balanced <- where V_q need not be evaluated again. */
+/* Whether corrections continue to shrink; balanced <- the lanes in which V_q need not be evaluated
+ * again. */
 DAL_KERNEL_INLINE void DAL_LANES(judge)(const DAL_LANES(traits) *o, DAL_LANES(arrays) *at,
                                         dal_mask *balanced, bool first)
 {
@@ -639,7 +640,8 @@ DAL_KERNEL_INLINE void DAL_LANES(judge)(const DAL_LANES(traits) *o, DAL_LANES(ar
     at->last = size;
 }
 
-/* One correction of the lanes that are open.  first, all: constants where this is inlined. */
+/* One correction of the lanes that are open.  The arguments first and all are constants after
+ * inlining. */
 DAL_KERNEL_INLINE void DAL_LANES(correct)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
                                           DAL_LANES(arrays) *at, bool first, bool all)
 {
@@ -741,7 +743,7 @@ DAL_KERNEL_INLINE void DAL_LANES(commit)(const DAL_LANES(traits) *o, DAL_LANES(s
     c->pull_calls += DAL_LANES_TAKE(all, made, at->pull_calls, zero);
 }
 
-/* A stage of the lanes that go; those that have made it. */
+/* A stage of the active lanes; returns the lanes that completed it. */
 DAL_KERNEL_INLINE dal_mask DAL_LANES(stage)(const dal_lanes_block *block,
                                             const DAL_LANES(given) *given, const dal_stage *s,
                                             DAL_LANES(state) *c, dal_mask going, bool plain)
@@ -778,7 +780,7 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(stage)(const dal_lanes_block *block,
     return at.settled;
 }
 
-/* Functions of their own, so that no compiler moves what a stage begins with to where all do. */
+/* Separate functions, so that no compiler moves the beginning of a stage to a common place. */
 DAL_KERNEL_APART dal_mask DAL_LANES(stage_at_nodes)(const dal_lanes_block *block,
                                                     const DAL_LANES(given) *given,
                                                     const dal_stage *s, DAL_LANES(state) *c,
@@ -795,7 +797,7 @@ DAL_KERNEL_APART dal_mask DAL_LANES(stage_in_general)(const dal_lanes_block *blo
     return DAL_LANES(stage)(block, given, s, c, going, false);
 }
 
-/* As kernel.h does, a step of several stages that is not made goes back to where it began. */
+/* Restores the state before an incomplete step of several stages, as in kernel.h. */
 DAL_KERNEL_INLINE void DAL_LANES(take_back)(DAL_LANES(state) *c, const DAL_LANES(state) *saved,
                                             dal_mask going)
 {

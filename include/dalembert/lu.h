@@ -1,19 +1,19 @@
-/* lu.h - LU factors of a dense matrix, and whether it is singular.
+/* lu.h - LU factors of a dense matrix, and a test of singularity.
  *
- * With A go the sizes of its rows and columns, r_i and c_j: of the terms that were added up to A_ij
- * none is much larger than r_i c_j.  Then A_ij / (r_i c_j) is the scaled matrix.  It does not
- * change when rows, columns or coordinates are rescaled together with their sizes, and where the
- * terms cancel it is small.  Pivots are the largest of the scaled column, so |L| <= 1 and elements
- * grow little.  Singular means that the scaled matrix, or 1 if it is smaller, times the estimated
- * size of its inverse is above DAL_LU_CONDITION.  Nothing is in fact scaled: that would not change
- * a digit.  Header only: generated code has no library to link. */
+ * The rows and columns of A have sizes r_i and c_j, such that no term in the sum A_ij is much
+ * larger than r_i c_j.  The scaled matrix is A_ij / (r_i c_j).  It does not change if rows, columns
+ * or coordinates are rescaled together with their sizes, and it is small if terms cancel.  Pivots
+ * are the largest of the scaled column, so |L| <= 1 and elements grow little.  A is singular if the
+ * larger of 1 and the scaled matrix, times the estimated size of its inverse, is above
+ * DAL_LU_CONDITION.  The scaling is not carried out, because it would not change a digit.  Header
+ * only: generated code has no library to link. */
 #ifndef DALEMBERT_LU_H
 #define DALEMBERT_LU_H
 
 #include <math.h>
 #include <stddef.h>
 
-/* Where m is a constant these have to be seen by the optimiser. */
+/* If m is a constant, these must be visible to the optimiser. */
 #if defined(__GNUC__)
 #define DAL_LU_INLINE static inline __attribute__((always_inline))
 #define DAL_LU_RARE static __attribute__((noinline, unused)) /* cold would spread to its callers */
@@ -24,14 +24,13 @@
 #define DAL_LU_MOSTLY(condition) (condition)
 #endif
 
-/* From here on the solution would have no digits: 1e15 u is 0.1. */
+/* Above this condition number the solution has no correct digits: 1e15 u is 0.1. */
 #define DAL_LU_CONDITION 1e15
 
-/* Where m = 2, and the product of the pivots, which is positive, and the entry above the second are
- * this close to their sizes, the matrix is regular, and that need not be computed.  With |L| <= 1
- * and pivots not above 2^4 of their sizes they are above 2^-12, and the x of dal_lu_is_regular is
- * at most 2^13 for the second row and 2^12 (1 + 2^8 2^13) for the first, times m and 2^8 below
- * 2^43. */
+/* A matrix with m = 2 is regular if the product of its pivots is positive, and it and the entry
+ * above the second are this close to their sizes.  With |L| <= 1 and pivots not above 2^4 of their
+ * sizes, they are above 2^-12.  The x of dal_lu_is_regular is then at most 2^13 for the second row
+ * and 2^12 (1 + 2^8 2^13) for the first; times m and 2^8 this is below 2^43. */
 #define DAL_LU_EASY 0x1p8
 
 /* x[m] <- A^-1 b[m] from the factors; x and b may not overlap. */
@@ -82,7 +81,7 @@ DAL_LU_INLINE double dal_lu_inverse_determinant(size_t m, const double *A)
     return fabs(product);
 }
 
-/* The factors of a matrix, and what solves with them: as the two functions above. */
+/* The factors of a matrix, and functions that solve with them, like the two above. */
 typedef struct dal_lu_factors {
     void (*solve)(const struct dal_lu_factors *self, const double *b, double *x);
     void (*solve_transposed)(const struct dal_lu_factors *self, double *b, double *x);
@@ -103,7 +102,7 @@ static inline void dal_lu_solve_transposed_by(const dal_lu_factors *self, double
 }
 
 /* Component i of a vector of 1-norm 1 or less: a column; or for m all columns at once; or for m + 1
- * all, with weights from -1 to 1 that have nothing to do with one another. */
+ * all, with independent weights from -1 to 1. */
 static inline double dal_lu_start(size_t m, size_t column, size_t i)
 {
     if (column < m) return column == i ? 1.0 : 0.0;
@@ -113,11 +112,11 @@ static inline double dal_lu_start(size_t m, size_t column, size_t i)
     return ((double)(mixed >> 8) * 0x1p-23 - 1.0) / (double)m;
 }
 
-/* The 1-norm of the inverse of the scaled matrix, or a little less: that of the best column found
- * by going uphill (W. W. Hager, SIAM J. Sci. Stat. Comput. 5, 1984), from all columns at once, then
- * from all with weights.  Where two rows almost coincide, or the sums of two pairs, the first way
- * begins where that is not seen, nor with signs that change from row to row (N. J. Higham, ACM
- * Trans. Math. Softw. 14, 1988) where the rows have one row between them.  scratch[3*m]. */
+/* The 1-norm of the inverse of the scaled matrix, or a little less.  It is that of the best column
+ * found by ascent (W. W.  Hager, SIAM J.  Sci.  Stat.  Comput. 5, 1984), from all columns at once,
+ * then from all with weights.  The first start fails if two rows, or the sums of two pairs, almost
+ * coincide.  Alternating signs (N. J.  Higham, ACM Trans.  Math.  Softw. 14, 1988) fail if there is
+ * one row between these rows.  The array scratch[3*m] is workspace. */
 DAL_LU_RARE double dal_lu_inverse_norm(const dal_lu_factors *factors, const double *row_size,
                                        const double *column_size, double *scratch)
 {
@@ -153,10 +152,10 @@ DAL_LU_RARE double dal_lu_inverse_norm(const dal_lu_factors *factors, const doub
     return norm;
 }
 
-/* Whether the scaled matrix is regular.  A bound costs O(m^2): the solution x of M(L) M(U) x = 1,
- * where M has the sizes of the entries, those off the diagonal with a minus, is not smaller than
- * any row sum of the inverse.  For large m it is often far too large; then the inverse is
- * estimated. */
+/* Whether the scaled matrix is regular.  A bound costs O(m^2): no row sum of the inverse exceeds
+ * the solution x of M(L) M(U) x = 1.  Here M has the absolute values of the entries, with a minus
+ * off the diagonal.  For large m the bound is often far too large; then the inverse is estimated.
+ */
 DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row,
                                     const double *row_size, const double *column_size,
                                     double *scratch)
@@ -186,7 +185,7 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
     return dal_lu_inverse_norm(&factors, row_size, column_size, scratch) <= most;
 }
 
-/* The same for m = 2; of copies, so that the arrays of the caller need no place in memory. */
+/* The same for m = 2, with copies as arguments, so that the arrays of the caller need no memory. */
 DAL_LU_RARE int dal_lu_are_regular(double inverse, double b, double l, double rest, int swap,
                                    double upper, double lower, double c, double d)
 {
@@ -197,8 +196,8 @@ DAL_LU_RARE int dal_lu_are_regular(double inverse, double b, double l, double re
     return dal_lu_is_regular(2, A, row, rows, columns, scratch);
 }
 
-/* dal_lu_factor for m = 2, of the rows (a, b) and (c, d) as they are pivoted: the same operations,
- * with no index that the optimiser does not know. */
+/* Like dal_lu_factor for m = 2, with the pivoted rows (a, b) and (c, d).  The operations are the
+ * same, with constant indices for the optimiser. */
 DAL_LU_INLINE int dal_lu_factor_rows(double a, double b, double c, double d, double upper,
                                      double lower, int swap, double *A, const double *sizes,
                                      size_t *row)
@@ -217,10 +216,10 @@ DAL_LU_INLINE int dal_lu_factor_rows(double a, double b, double c, double d, dou
     return (swap != (a < 0.0)) != (rest < 0.0) ? -1 : 1;
 }
 
-/* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  sizes[5*m]:
- * those of the rows, then of the columns; the rest is scratch.  Returns the sign of det A; or 0 if
- * A is singular or NaN.  With an Inf in A the residual of what dal_lu_solve returns is not finite
- * or not small. */
+/* Factors A[m*m] in place, with rows permuted as in row[m] and the diagonal of U inverted.  The
+ * array sizes[5*m] has the sizes of the rows, then of the columns; the rest is workspace.  Returns
+ * the sign of det A, or 0 if A is singular or NaN.  With an Inf in A the residual of the result of
+ * dal_lu_solve is not finite or not small. */
 DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
 {
     if (m == 0) return 1;

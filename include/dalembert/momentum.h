@@ -1,44 +1,47 @@
 /* momentum.h - a stage of kernel.h in momentum form: for M(q), for forces that depend on v, and for
- * constraints that are not linear.  kernel.h includes it; nobody else does.
+ * constraints that are not linear.  Only kernel.h includes it.
  *
  * With p = L_v and F = L_q + f, and A, B and the weights those of struct dal_stage, the stage is
  *
  *     q_k = q~ + A h v,    q~' = q_k + B h v',    p' = L_v(q~', v'),
  *     p' - p = h [start F(q~, v) + end F(q~', v')] + mu_k^T kappa,    phi(q~', v') = 0,
  *
- * mu_k = phi_v at q_k and v, or (v + v')/2 where phi is not linear.  A pair (0, a), (1, b) is two
- * stages here, for what is between them enters F.
+ * mu_k = phi_v at q_k and v, or (v + v')/2 where phi is not linear.  A pair (0, a), (1, b) consists
+ * of two stages here, because F depends on the state between them.
  *
- * How it is solved.  Newton with the matrix of the prediction, K = dR/dv' of the first equation:
+ * Solution.  Newton's iteration with the matrix at the prediction, K = dR/dv' of the first
+ * equation:
  *     K = L_vv + B h L_vq - end h (F_v + B h F_q),    S = (phi_v + B h phi_q) K^-1 mu_k^T,
- * factored once.  What is predicted is v' - v, from the last four stages of the same beta.  After
- * a correction L_v, F and phi are evaluated at what would be stored.  The stage is done when the
- * balance of momenta there is a rounding of its terms and the residual of D at most half of its
- * bound; so a smooth step takes one evaluation with second derivatives and one without.  Nothing is
- * extrapolated: what is stored was looked at.  The moves in s^a of residual.h cost slopes of phi at
- * what would be stored; they are evaluated only where the residual is above its bound without them.
+ * factored once.  The prediction of v' - v uses the last four stages of the same beta.  After a
+ * correction L_v, F and phi are evaluated at the state to be stored.  The stage is complete when
+ * the balance has a residual of roundoff there, and the residual of D is at most half of its bound.
+ * So a smooth step takes one evaluation with second derivatives and one without.  The stored state
+ * itself is checked.  The moves in s^a of residual.h need derivatives of phi at this state.  They
+ * are evaluated only if the residual exceeds its bound without them.
  *
- * p is carried from stage to stage, so that what is left of the balance is not lost: p' = L_v(q~',
- * v') + theta r, where r is the residual and theta_i the part of a row that is momentum, at most 1:
- * (L_vv)_ii / U_ii with K = L U.  In stiff damping the rest of r is a rounding of F, which is none.
- * As long as p is carried, low of kernel.h is what it lacks, in place of what v lacks.
+ * The momentum p is carried from stage to stage, so the residual r of the balance is not lost: p' =
+ * L_v(q~', v') + theta r.  The fraction theta_i of a row that is momentum is at most 1: (L_vv)_ii /
+ * U_ii with K = L U.  In stiff damping the rest of r is a rounding of F, and not momentum.  While p
+ * is carried, low of kernel.h is its rounding error instead of that of v.
  *
- * What does not contract, an L_vv, K or S with a pivot that is not positive, and what is not finite
- * go to dal_kernel.finish, as in kernel.h.  Each row is judged by its own terms, so that no scaling
- * of coordinates or forms changes a decision, nor a coordinate what is asked of another. */
+ * As in kernel.h, dal_kernel.finish completes a stage that does not contract or is not finite.  It
+ * also completes a stage in which a pivot of L_vv, K or S is not positive.  Each row is compared
+ * with its own terms.  So decisions do not depend on the scaling of coordinates or forms, and a
+ * coordinate does not affect the accuracy of another. */
 #ifndef DALEMBERT_MOMENTUM_H
 #define DALEMBERT_MOMENTUM_H
-/* A row of the balance is closed to so many u of its terms; and of what q~' is multiplied with, the
- * roundings of which at the prediction and after the correction move the row by at most u each. */
+/* A row of the balance is satisfied to this many u of its terms, and of the factors of q~'.  Their
+ * roundings at the prediction and after the correction change the row by at most u each. */
 #define DAL_MOMENTUM_NOISE (8.0 * DAL_KERNEL_U)
 #define DAL_MOMENTUM_GRID (4.0 * DAL_KERNEL_U)
-/* Where it no longer shrinks, so many times as much. */
+/* The factor of this bound if the residual no longer decreases. */
 #define DAL_MOMENTUM_FLOOR 64.0
 enum { DAL_MOMENTUM_PASSES = 4 };
-/* With pivots below this part of their terms K and S are left to the full Newton iteration. */
+/* If pivots of K or S are below this fraction of their terms, the full Newton iteration takes over.
+ */
 #define DAL_MOMENTUM_PIVOT 1e-12
 
-/* What a stage here has beside the traits of every stage. */
+/* The additional properties of a stage in momentum form. */
 typedef struct dal_spans {
     double b, early, late;  /* B h, h start, h end */
     bool constant;          /* M */
@@ -95,7 +98,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve)(size_t size, unsigned long long ma
     }
 }
 
-/* ---- begin: p and F at the start, and what is known of p' */
+/* ---- begin: p and F at the start, and the known part of p' */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel *k, const dal_traits *o,
                                              const dal_spans *of, const dal_arrays *at,
                                              const dal_balance *balance)
@@ -134,7 +137,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel *k, const dal_traits *o,
     return DAL_SUCCESS;
 }
 
-/* w <- v and what the stages before say of v' - v. */
+/* w <- v plus the prediction of v' - v from earlier stages. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(extrapolate)(const dal_kernel *k, const dal_traits *o,
                                                     const dal_arrays *at)
 {
@@ -147,7 +150,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(extrapolate)(const dal_kernel *k, const d
                                    + weight[1] * past[n + i] + weight[0] * past[i]);
 }
 
-/* phi and mu at what would be stored, and N unless NULL; mu_k where it depends on v'. */
+/* phi and mu at the state to be stored, and N unless NULL; mu_k if it depends on v'. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(constrain)(dal_kernel *k, const dal_traits *o,
                                                  const dal_spans *of, const dal_arrays *at,
                                                  double *phi, double *N)
@@ -165,7 +168,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(constrain)(dal_kernel *k, const dal_traits
                             NULL, at->mu_node, NULL);
 }
 
-/* r <- -phi at what would be stored. */
+/* r <- -phi at the state to be stored. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(miss)(const dal_kernel *k, const dal_traits *o,
                                              const dal_spans *of, const dal_arrays *at,
                                              const double *phi)
@@ -177,9 +180,9 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(miss)(const dal_kernel *k, const dal_trai
         at->r[a] = of->linear ? -dal_kernel_dot(n, o->has.mu, at->mu, a, at->w) : -phi[a];
 }
 
-/* The same.  True if every residual is at most half of its bound; then the statistics know it.
- * Unless exact the terms of phi, sum_i |mu^a_i v_i| + |phi^a - mu^a v|, are in place of s^a of
- * residual.h, which is not less. */
+/* The same.  Returns true if every residual is at most half of its bound, and then updates the
+ * statistics.  Unless exact, the terms of phi, sum_i |mu^a_i v_i| + |phi^a - mu^a v|, replace s^a
+ * of residual.h, which is not smaller. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_within)(dal_kernel *k, const dal_traits *o,
                                                   const dal_spans *of, const dal_arrays *at,
                                                   const dal_balance *balance, bool exact)
@@ -238,8 +241,8 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_definite)(const dal_kernel *k, unsigne
     return definite;
 }
 
-/* unit, per_unit <- those of residual.h for the metric L_vv, of which is_definite has left L and
- * D^-1: (M^-1)_jj from column j of L^-1. */
+/* unit, per_unit <- those of residual.h for the metric L_vv, from L and D^-1 of is_definite: column
+ * j of L^-1 determines (M^-1)_jj. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(measure)(const dal_kernel *k, unsigned long long mask,
                                                 const dal_balance *balance)
 {
@@ -293,7 +296,7 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_moved)(dal_kernel *k, const dal_traits
     return true;
 }
 
-/* How far phi is from 0, in parts of its terms. */
+/* The size of phi relative to its terms. */
 DAL_KERNEL_INLINE double DAL_KERNEL_PART(distance)(size_t m, const dal_arrays *at)
 {
     double most = 0.0;
@@ -314,8 +317,8 @@ DAL_KERNEL_INLINE double DAL_KERNEL_PART(turn)(const dal_traits *o, const dal_sp
     return sum;
 }
 
-/* K and S, factored, from what was evaluated at the prediction; Z; L_vv becomes its factors.  False
- * if one is not regular. */
+/* K and S, factored, from the evaluations at the prediction; Z; L_vv becomes its factors.  Returns
+ * false if one is not regular. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(form)(const dal_kernel *k, const dal_traits *o,
                                              const dal_spans *of, const dal_arrays *at,
                                              const dal_balance *balance)
@@ -408,7 +411,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel *k, const dal_tra
             m > 0 ? dal_kernel_column(n, m, o->has.mu, at->mu_node, i, at->kappa) : 0.0;
 }
 
-/* residual <- what is missing in the balance of momenta. */
+/* residual <- the residual of the balance of momenta. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel *k, const dal_spans *of,
                                               const dal_arrays *at, const dal_balance *balance)
 {
@@ -454,9 +457,10 @@ DAL_KERNEL_INLINE double DAL_KERNEL_PART(pushes)(const dal_spans *of, const dal_
     return fabs(balance->known[i]) + fabs(of->late * balance->F[i]) + fabs(balance->reaction[i]);
 }
 
-/* How far the rows of the residual are from a rounding: of their terms; of the velocities of rows
- * that they are coupled to, by the terms of these; or of q~'.  At most 1 if each is one; of the
- * worst row, NaN if there is one.  Where all is below DBL_MIN roundings are not in proportion. */
+/* The ratio of the worst row of the residual to a rounding.  The rounding is that of its terms, of
+ * velocities of coupled rows, by the terms of these rows, or of q~'.  At most 1 if every row is a
+ * rounding; NaN if a row is NaN.  If all terms are below DBL_MIN, roundings are not proportional to
+ * them. */
 DAL_KERNEL_INLINE double DAL_KERNEL_PART(imbalance)(const dal_kernel *k, const dal_traits *o,
                                                     const dal_spans *of, const dal_arrays *at,
                                                     const dal_balance *balance)
@@ -557,8 +561,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
     return 1;
 }
 
-/* ---- mend: the velocity, into D at the q~' that is stored, with the reaction that goes with it.
- * S is for a q~' that moves, so each pass leaves a part B h N of the residual. */
+/* ---- correction of the velocity to D at the stored q~', with the corresponding reaction.  S is
+ * for a variable q~', so each pass leaves a part B h N of the residual. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(mend)(dal_kernel *k, const dal_traits *o,
                                              const dal_spans *of, const dal_arrays *at,
                                              const dal_balance *balance)
@@ -582,7 +586,7 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(mend)(dal_kernel *k, const dal_traits *o,
         || DAL_KERNEL_PART(is_moved)(k, o, of, at);
 }
 
-/* ---- carry: what the next stage needs of a balance that was closed here */
+/* ---- carry: the data of a completed balance for the next stage */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel *k, const dal_spans *of,
                                               const dal_arrays *at, const dal_balance *balance)
 {
@@ -625,8 +629,8 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel *k, const dal_traits
     k->latest_span = o->stage->span;
 }
 
-/* A stage of step number, counted from 0.  explicit is a constant where this is inlined, and may be
- * true where B = 0: mu(q~') is then that of the node. */
+/* A stage of step number, counted from 0.  The argument explicit, a constant after inlining, may be
+ * true if B = 0: mu(q~') is then that of the node. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const double number,
                                                 const dal_stage *const s, const bool explicit,
                                                 double *const x, double *const low)

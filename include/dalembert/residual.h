@@ -1,14 +1,14 @@
-/* residual.h - how far a velocity is from D, the one definition that everything here uses.
+/* residual.h - the definition of the relative residual of a velocity.
  *
  * For linear constraints mu v = 0 with mass matrix M
  *     residual^a = |mu^a v| / s^a,    s^a(q, v) = |mu^a| |v|,
  *     |mu^a| = sum_i |mu^a_i| d_i,    |v| = max_j |v_j| / d_j,    d_i = sqrt((M^-1)_ii),
- * where d_i is the largest |v_i| of a velocity with v^T M v = 1, so that |v|^2 <= v^T M v.  Where
- * phi is not linear in v, |phi^a| takes the place of |mu^a v| with mu = phi_v, and
+ * where d_i is the largest |v_i| of a velocity with v^T M v = 1, so |v|^2 <= v^T M v. If phi is not
+ * linear in v, |phi^a| replaces |mu^a v| with mu = phi_v, and
  *     s^a = |mu^a| |v| + |phi^a - mu^a v| + moves^a,
  *     moves^a = sum_i |dphi^a/dq_i q_i| + |dphi^a/dt t|,
- * so that s^a knows the rounding of q, of t, and of the terms of phi.  docs/residual.md derives it
- * and its rounding bound.  Header only: generated code has no library to link. */
+ * so s^a includes the rounding of q, of t, and of the terms of phi.  See docs/residual.md for a
+ * derivation and the rounding bound.  Header only: generated code has no library to link. */
 #ifndef DALEMBERT_RESIDUAL_H
 #define DALEMBERT_RESIDUAL_H
 
@@ -21,7 +21,7 @@
 #define DAL_RESIDUAL_INLINE static inline
 #endif
 
-/* |v|, with per_unit[n] the 1/d_i.  A NaN may be passed over: mu^a v shows it. */
+/* |v|, with per_unit[n] the 1/d_i.  A NaN may be ignored, because mu^a v shows it. */
 DAL_RESIDUAL_INLINE double dal_residual_speed(size_t n, const double *per_unit, const double *v)
 {
     double most = 0.0;
@@ -32,8 +32,8 @@ DAL_RESIDUAL_INLINE double dal_residual_speed(size_t n, const double *per_unit, 
     return most;
 }
 
-/* sum_i |v_i| / d_i, in which the steps of an iteration are measured: it does not change with the
- * units of coordinates either, and a NaN shows. */
+/* sum_i |v_i| / d_i, the measure of the steps of an iteration.  It does not depend on the units of
+ * coordinates either, and propagates a NaN. */
 DAL_RESIDUAL_INLINE double dal_residual_extent(size_t n, const double *per_unit, const double *v)
 {
     double sum = n > 0 ? fabs(v[0]) * per_unit[0] : 0.0;

@@ -1,14 +1,14 @@
-/* rows.h - matrices of which only some entries are stored: mu, N = d(mu v)/dq and what is like
- * them, of systems with many coordinates where a constraint depends on few.  Sums run over the
- * columns, or rows, in ascending order, as those of dense matrices do, so leaving out what is 0
- * changes no bit.  Header only: generated code has no library to link. */
+/* rows.h - sparse matrices such as mu and N = d(mu v)/dq, for systems with many coordinates and
+ * constraints in few of them.  Sums run over columns, or rows, in ascending order, as for dense
+ * matrices, so omitting zeros changes no bit.  Header only: generated code has no library to link.
+ */
 #ifndef DALEMBERT_ROWS_H
 #define DALEMBERT_ROWS_H
 
 #include <math.h>
 #include <stddef.h>
 
-/* Which entries of a matrix [m*n] are stored, by rows. */
+/* The stored entries of a matrix [m*n], by rows. */
 typedef struct dal_rows {
     size_t m, n;
     const size_t *first;  /* [m+1] row a has the entries first[a] to first[a+1], */
@@ -16,8 +16,8 @@ typedef struct dal_rows {
     const size_t *above;  /* [n+1] column i has those from above[i] to above[i+1] of */
     const size_t *entry;  /* [entries] these entries, */
     const size_t *row;    /* [entries] in these rows */
-    size_t terms;         /* the most entries of a row or column, and 1: what takes the place of n
-                             in the bound of the residual, see docs/residual.md */
+    size_t terms;         /* the largest number of entries of a row or column, plus 1; replaces n in
+                             the bound of the residual, see docs/residual.md */
 } dal_rows;
 
 static inline size_t dal_rows_entries(const dal_rows *rows) { return rows->first[rows->m]; }
