@@ -53,8 +53,8 @@ typedef struct dal_pair {
  * beta') h. */
 typedef struct dal_discrete dal_discrete;
 
-/* Creates a dal_discrete with lagrangian as rho and constraint as rho', by default the same map
- * (NULL).  The maps are copied, their ctx is borrowed.
+/* Creates a dal_discrete with lagrangian as rho and constraint as rho'; NULL means the same map.
+ * The maps are copied, their ctx is borrowed.
  * Errors: DAL_EINVAL (NULL, beta not in [0, 1]); DAL_ENOMEM. */
 DAL_API int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
                              const dal_difference_map *lagrangian,

@@ -275,7 +275,7 @@ def _in_space(run: Solution) -> Body:
 
 
 def _pairs(run: Solution) -> Body:
-    """The oscillators (y_i, z_i) of `chaotic` and `disguised`, as dots in one plane."""
+    """Return the oscillators (y_i, z_i) of `chaotic` and `disguised`, as dots in one plane."""
     pairs = run.system.n // 2
 
     def shapes(t: float, q: Array, v: Array) -> list[Shape]:

@@ -1,4 +1,4 @@
-"""The systems that users make, and where they come from."""
+"""Systems defined by users, and their sources."""
 
 from .sources import BuiltIn, Expressions
 from .system import System, require_parameters
