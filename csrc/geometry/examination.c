@@ -749,9 +749,9 @@ static void summarize(const examination *ex, dal_error *summary)
                  ex->system->def.kind == DAL_AFFINE ? "affine" : "nonlinear", ex->n == ex->m
                  ? ", one for each coordinate: they prescribe the velocity" : "");
     else if (ex->n == ex->m)
-        snprintf(shape, sizeof shape, "D has dimension n - m = 0: the system cannot move");
+        snprintf(shape, sizeof shape, "D has dimension 0: the system cannot move");
     else if (ex->n - ex->m == 1)
-        snprintf(shape, sizeof shape, "D has dimension n - m = 1, which is always integrable");
+        snprintf(shape, sizeof shape, "D has dimension 1, which is always integrable");
     else if (found->integrable)
         snprintf(shape, sizeof shape, "D is integrable here and nearby: the constraints may be "
                  "holonomic");

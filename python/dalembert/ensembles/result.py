@@ -472,7 +472,7 @@ class Ensemble(Mapping[str, Any]):
         shape = "" if len(self.shape) < 2 else f" ({' x '.join(map(str, self.shape))})"
         lines = [
             f"<Ensemble of {len(self)} runs{shape} of {self.system.name} by {self.scheme.name}"
-            f"{' in lanes' * self.lanes}: {good} went through",
+            f"{' in lanes' * self.lanes}: {good} completed",
         ]
         if failed:
             lines.append(f"  {failed} failed, see failed and message(k)")

@@ -148,7 +148,7 @@ def page(self: Ensemble) -> str | None:
     shape = " × ".join(map(str, self.shape))
     rows = [
         ["members", f"{len(self)}" if len(self.shape) == 1 else f"{len(self)} ({shape})"],
-        ["went through", str(int((status == 0).sum()))],
+        ["completed", str(int((status == 0).sum()))],
         ["failed", str(len(self.failed))],
         ["not finished", str(len(self.unfinished))],
         ["doubtful", str(int(self["doubtful"].sum()))],

@@ -253,8 +253,8 @@ def _facts(system: System) -> list[tuple[str, str]]:
     """Return facts about the system and the results of its check."""
     found = system.check()
     rows = [
-        ("coordinates n", str(system.n)),
-        ("constraints m", f"{system.m}, {system.kind}" if system.m else "0"),
+        ("coordinates", str(system.n)),
+        ("constraints", f"{system.m}, {system.kind}" if system.m else "none"),
         ("mass matrix", "constant" if system.has_constant_mass else "depends on the coordinates"),
     ]
     if system.is_forced:

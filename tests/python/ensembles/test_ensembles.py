@@ -312,7 +312,7 @@ def test_failed_members_are_entries():
     with pytest.warns(dal.DalembertWarning):
         rows = many(system, "midpoint", q0, v0, values, keep=["all", "energy"], stride=4, **given)
     check_members(rows, at_end=False, only=[0, 2, 4, 6, 7, 8])
-    assert "5 failed" in repr(found) and "4 went through" in repr(found)
+    assert "5 failed" in repr(found) and "4 completed" in repr(found)
 
 
 def test_exceptions_of_functions_are_entries():

@@ -92,7 +92,7 @@ def test_systems_of_the_library(tmp_path):
         there = many(dal.systems.sleigh(), **given)
         kept = many(dal.systems.sleigh(), store=tmp_path / "store", **given)
     assert lanes.twin(dal.systems.sleigh()) is not None
-    assert there.lanes and "by leapfrog in lanes: 19 went through" in repr(there)
+    assert there.lanes and "by leapfrog in lanes: 19 completed" in repr(there)
     good = there.success
     assert there.message(4) == plain.message(4) and good.sum() == 19
     size = abs(plain.q[good]).max()
