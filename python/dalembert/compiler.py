@@ -193,7 +193,7 @@ def _run(command: list[str], root: Path) -> tuple[int, str]:
             if process.returncode is None:
                 os.killpg(process.pid, signal.SIGKILL)
             if isinstance(error, subprocess.TimeoutExpired):
-                text = f"the C compiler did not end within {LIMIT:g} s: {shlex.join(command)}"
+                text = f"the C compiler did not finish in {LIMIT:g} s: {shlex.join(command)}"
                 raise CompilerError(text) from None
             raise
     return process.returncode, printed
@@ -211,7 +211,7 @@ def _remove_left() -> None:
 
 def _explain(command: list[str], source: str, printed: str, origin: Origin) -> str:
     """Return the compiler's error message in terms of the model."""
-    lines = [f"the C compiler refused a generated program: {shlex.join(command)}"]
+    lines = [f"the C compiler failed on a generated program: {shlex.join(command)}"]
     found = re.search(r"^model\.c:(\d+):.*error:\s*(.*)$", printed, flags=re.M)
     if found is None:
         return "\n".join([*lines, printed.strip() or "it said nothing"])
@@ -301,7 +301,7 @@ def _require_private(path: Path) -> None:
     """Raise OSError unless only the user can write to a file or directory that will be executed."""
     about = path.stat()
     if about.st_uid != os.getuid() or stat.S_IMODE(about.st_mode) & 0o022:
-        raise PermissionError(f"{path}: others can write there")
+        raise PermissionError(f"{path}: other users can write to it")
 
 
 def _store(directory: Path, key: str, source: str, content: bytes) -> Path:
@@ -430,8 +430,9 @@ def _compile(compiler: Compiler, key: str, program: Program, lanes: bool) -> Lib
         return Library(_store(path.parent, key, source, content))
     except OSError as error:
         warnings.warn(
-            f"compiled models cannot be kept in {path.parent} ({error}), and will be compiled "
-            "again by the next process; DALEMBERT_CACHE names another folder",
+            f"compiled models cannot be stored in {path.parent} ({error}), so the next "
+            "process will compile them again; set DALEMBERT_CACHE to a folder that can be "
+            "written",
             DalembertWarning,
             stacklevel=2,
         )

@@ -226,7 +226,7 @@ def test_a_cache_that_cannot_be_written(cache, compiled, why, monkeypatch):
     if why == "for others to write":
         cache.mkdir()
         cache.chmod(0o777)
-    with pytest.warns(dal.DalembertWarning, match="cannot be kept in .*DALEMBERT_CACHE"):
+    with pytest.warns(dal.DalembertWarning, match="cannot be stored in .*DALEMBERT_CACHE"):
         system = slide()
     assert energy(system) == pytest.approx(EXPECTED, rel=1e-15)
     assert not str(library(system._model).path).startswith(str(cache))
@@ -542,7 +542,7 @@ def test_a_compiler_that_hangs(cache, tmp_path, monkeypatch):
     monkeypatch.setattr(compiler.tempfile, "tempdir", str(place))
     monkeypatch.setenv("CC", str(wrapper))
     monkeypatch.setattr(compiler, "LIMIT", 1.0)
-    with pytest.raises(compiler.CompilerError, match="did not end within 1 s: .*cc"):
+    with pytest.raises(compiler.CompilerError, match="did not finish in 1 s: .*cc"):
         slide()
     wait_until(lambda: not is_running(child))
     assert child.exists() and not list(place.iterdir())

@@ -98,7 +98,7 @@ class _Parser(argparse.ArgumentParser):
         if action.choices is not None and value not in action.choices:
             raise argparse.ArgumentError(
                 action,
-                f"there is no {value!r}; {suggestion(value, action.choices)}there are "
+                f"there is no {value!r}; {suggestion(value, action.choices)}choose one of: "
                 f"{', '.join(action.choices)}",
             )
 
@@ -106,47 +106,49 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="dalembert",
-        description="Nonholonomic variational integrators: measure what they promise.",
+        description="Simulate mechanical systems with velocity constraints, and measure the order "
+        "of each scheme.",
     )
     parser.add_argument("--version", action="version", version=f"dalembert {core.version()}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     study = commands.add_parser(
         "study",
-        help="step-size refinement of schemes on a system, with a verdict",
-        description="Refine the step size of every scheme on a system; print the "
-        "verdict and the measured orders, and write a report.  Exit status 1 if a scheme does "
-        "not deliver what it promises.",
+        help="measure the order of schemes on a system, and give a verdict",
+        description="Refine the step size of each scheme on a system, print the verdict and the "
+        "measured orders, and write a report.  The exit status is 1 if a scheme does not reach "
+        "its promised order or does not keep its constraint.",
     )
     _add_study_options(study)
     for module in (runs, ensembles):
         module.add(
-            commands, _read("numbers and commas", _list_of(float)),
+            commands, _read("numbers separated by commas", _list_of(float)),
             _read("NAME=NUMBER", _parameter),
         )  # fmt: skip
     book = commands.add_parser(
         "catalogue",
-        help="a page for each system, with its formulas and a run, and an index",
-        description="Write DIR/index.html and a page DIR/NAME.html for each system: formulas, "
-        "parameters, initial data, a picture of a run, invariants and how they drift, the exact "
-        "solution or a reference to 30 digits, the source in the literature, and the lines of "
-        "Python and C that make it.  The pages need no network and no script; files of these names "
-        "are replaced.  A system in SymPy is compiled the first time, which takes some seconds.",
+        help="write a page for each system, with its formulas and a run, and an index",
+        description="Write DIR/index.html and a page DIR/NAME.html for each system.  A page has "
+        "the formulas, parameters, initial data, a picture of a run, the invariants and their "
+        "drift, and the source in the literature.  It also has the exact solution or a reference "
+        "to 30 digits, and the Python and C code of the system.  The pages need no network and no "
+        "script.  Existing files of these names are replaced.  A system in SymPy is compiled the "
+        "first time, which takes some seconds.",
     )
     book.add_argument(
         "folder", metavar="DIR", nargs="?", type=Path, default=Path("catalogue"),
-        help="where to, made if it is not there (default: catalogue)",
+        help="folder of the pages, created if necessary (default: catalogue)",
     )  # fmt: skip
     book.add_argument(
         "--system", action="append", metavar="MODEL",
-        help=f"{runs.MODEL}; again for more (default: all)",
+        help=f"{runs.MODEL} (repeatable; default: all)",
     )  # fmt: skip
     listed = commands.add_parser("systems", help="list the built-in systems")
     schemes = commands.add_parser("schemes", help="list the named schemes")
     cache = commands.add_parser(
         "cache", help="show or empty the cache of compiled models",
-        description="Show where compiled models are kept, and what there is.",
+        description="Show the folder of the compiled models, their number and their size.",
     )  # fmt: skip
-    cache.add_argument("--clear", action="store_true", help="remove them")
+    cache.add_argument("--clear", action="store_true", help="remove all compiled models")
     for command, function in (
         (study, _study), (book, _catalogue), (listed, _systems), (schemes, _schemes),
         (cache, _cache),
@@ -156,32 +158,35 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_study_options(study: argparse.ArgumentParser) -> None:
-    numbers = _read("numbers and commas", _list_of(float))
-    counts = _read("whole numbers and commas", _list_of(int))
+    numbers = _read("numbers separated by commas", _list_of(float))
+    counts = _read("whole numbers separated by commas", _list_of(int))
     add, written = study.add_argument, study.add_mutually_exclusive_group()
     add("system", metavar="MODEL", help=runs.MODEL)
     add("--scheme", action="append", metavar="NAME",
-        help="a name of `dalembert schemes`, or beta; again for more (default: all)")
+        help="scheme: a name listed by `dalembert schemes`, or a number beta (repeatable; default: "
+        "all)")
     add("--parameter", action="append", default=[], type=_read("NAME=NUMBER", _parameter),
-        metavar="NAME=VALUE", help="of the system; again for more")
-    add("--q0", type=numbers, metavar="X,Y,...", help="positions at t = 0")
+        metavar="NAME=VALUE", help="set a parameter of the system (repeatable)")
+    add("--q0", type=numbers, metavar="X,Y,...", help="initial positions, at t = 0")
     add("--v0", type=numbers, metavar="X,Y,...",
-        help="velocities at t = 0, in D (write --v0=-1,... for a minus)")
+        help="initial velocities, at t = 0, which satisfy the constraint (write --v0=-1,... for a "
+        "minus sign)")
     add("--t-end", type=float, metavar="T",
-        help="default: 1, or longer where errors would drown in roundoff")
+        help="end time of the runs (default: 1, or later if errors would be below roundoff)")
     add("--steps", type=counts, metavar="N,N,...",
-        help="numbers of steps up to T (default: by the order of the scheme)")
+        help="numbers of steps up to T, one for each run (default: chosen by the order of the "
+        "scheme)")
     add("--max-steps", type=_read("a whole number", _count), default=MOST_STEPS, metavar="N",
-        help="more steps than these in all are refused at once (default: 1e9)")
+        help="largest total number of steps; a study that needs more is refused (default: 1e9)")
     add("--initial", choices=list(INITIAL),
-        help="how schemes with kept nodes start (default: D_eps)")
+        help="initial data of schemes with kept nodes (default: D_eps)")
     written.add_argument("--output", type=Path, metavar="FILE",
-                         help="the report (default: report.html)")
+                         help="file of the report (default: report.html)")
     written.add_argument("--no-report", action="store_true", help="write no report")
     add("--tables", action="store_true", help="print the table of each scheme as well")
     add("--json", nargs="?", const="-", metavar="FILE",
-        help="the numbers as JSON, to FILE or to standard output; in the latter case the tables go "
-        "to standard error")  # fmt: skip
+        help="write the numbers as JSON to FILE, or to standard output; in the latter case the "
+        "tables go to standard error")  # fmt: skip
 
 
 def _read(expected: str, read: Callable[[str], Any]) -> Callable[[str], Any]:
@@ -250,7 +255,7 @@ def _output(given: argparse.Namespace) -> Path | None:
         if path is not None:
             _require(files.require_writable, path)
     if output is not None and given.json and Path(given.json).resolve() == output.resolve():
-        raise ValueError(f"{output}: expected one file for the report, another for the numbers")
+        raise ValueError(f"{output}: both --output and --json name it; expected different files")
     return output
 
 
@@ -275,14 +280,14 @@ def _catalogue(given: argparse.Namespace) -> int:
     print(f"catalogue: {index}", file=sys.stderr)
     left_out = ", ".join(x for x in systems.names_in_sympy() if x not in pages.available())
     if left_out and not given.system:
-        print(f"catalogue: left out, because they need SymPy: {left_out}", file=sys.stderr)
+        print(f"catalogue: omitted, because SymPy is not installed: {left_out}", file=sys.stderr)
     return 0
 
 
 def _systems(given: argparse.Namespace) -> int:
     found = [systems.get(name) for name in systems.names()]
     _list((system.name, system.help) for system in found)
-    print("\nWritten in SymPy, which they need:")
+    print("\nDefined in SymPy, which has to be installed:")
     _list((name, catalogue.about(name)["help"]) for name in systems.names_in_sympy())
     return 0
 
@@ -292,10 +297,10 @@ def _schemes(given: argparse.Namespace) -> int:
     print("\nBesides these:")
     _list(
         [
-            ("N", "a number in [0, 1]: the beta-scheme of this number"),
-            ("N-nodes", "the same at the original nodes: keeps D_eps"),
+            ("N", "the beta-scheme with beta = N, a number in [0, 1]"),
+            ("N-nodes", "the same at the original nodes: satisfies D_eps"),
             ("pair:A:B", "two maps: beta A for L_d, beta B for D_d"),
-            ("FILE.so:SYMBOL", "a dal_scheme of your own, with its family"),
+            ("FILE.so:SYMBOL", "your own dal_scheme with its family, in a shared library"),
         ]
     )
     return 0

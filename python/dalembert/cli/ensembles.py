@@ -20,41 +20,48 @@ from ..run.scheme import INITIAL
 from ..system import System
 from . import runs
 
-_GRID = "a parameter, coordinate or velocity (v_NAME), and its values: from A to B, or one by one"
+_GRID = (
+    "values of a parameter, coordinate or velocity (v_NAME): N of them from A to B, or a list "
+    "(repeatable)"
+)
 
 
 def add(commands: Any, numbers: Any, parameter: Any) -> None:
     """Add the command to a parser; ``numbers`` and ``parameter`` read arguments."""
     command = commands.add_parser(
-        "ensemble", help="runs over a grid of parameters and initial data, on threads or a cluster",
-        description="Integrate a system for all combinations of values and print what came of it.  "
-        "With --store, the same command goes on after whatever ended it.  Exit status 1 if all "
-        "members fail.",
+        "ensemble", help="run a grid of parameters and initial data, on threads or a cluster",
+        description="Integrate a system for all combinations of values, and print a summary.  "
+        "With --store, repeat the same command after an interruption to resume.  The exit status "
+        "is 1 if all members fail.",
     )  # fmt: skip
     add = command.add_argument
     add("model", metavar="MODEL", help=runs.MODEL)
     add("--grid", action="append", default=[], type=axis, metavar="NAME=A:B:N|X,Y,...", help=_GRID)
     add("--scheme", metavar="NAME",
-        help="a name of `dalembert schemes`, or beta (default: the cheapest of order 2, leapfrog "
-        "or midpoint)")
+        help="scheme: a name listed by `dalembert schemes`, or a number beta (default: the "
+        "cheapest of order 2, leapfrog or midpoint)")
     add("--parameter", action="append", default=[], type=parameter, metavar="NAME=VALUE",
-        help="of all members; again for more")
-    add("--q0", type=numbers, metavar="X,Y,...", help="positions at the start, of all members")
-    add("--v0", type=numbers, metavar="X,Y,...", help="velocities at the start, of all members")
-    add("--consistent", choices=list(CONSISTENCY), default="check",
-        help="what is done with initial data that are not in D")
-    add("--initial", choices=list(INITIAL), help="how kept nodes start")
-    add("--h", type=float, required=True, metavar="H", help="the step")
+        help="set a parameter of all members (repeatable)")
+    add("--q0", type=numbers, metavar="X,Y,...", help="initial positions of all members")
+    add("--v0", type=numbers, metavar="X,Y,...", help="initial velocities of all members")
+    add("--consistent", choices=list(CONSISTENCY), default="check", help=runs.CONSISTENT)
+    add("--initial", choices=list(INITIAL), help=runs.KEPT_NODES)
+    add("--h", type=float, required=True, metavar="H", help="step size")
     runs.add_end(command, required=True)
-    add("--t0", type=float, default=0.0, metavar="T", help="the time of the start")
-    add("--stride", type=int, metavar="K", help="of what is not kept at the end alone")
+    add("--t0", type=float, default=0.0, metavar="T", help="start time (default: 0)")
+    add("--stride", type=int, metavar="K",
+        help="store every K-th state of the quantities that are not stored at the end only")
     add("--keep", default="end", metavar="NAME,...",
-        help="end, all, coordinates, v_NAME, energy, residual, multipliers, reactions")
+        help="quantities to store: end, all, coordinates, v_NAME, energy, residual, multipliers, "
+        "reactions (default: end)")
     who = command.add_mutually_exclusive_group()
     who.add_argument("--executor", metavar="dask://HOST:PORT|processes[:N]", type=_executor,
-                     help="who makes them (default: threads of this process)")
-    who.add_argument("--threads", type=int, metavar="N", help="how many (default: all processors)")
-    add("--store", type=Path, metavar="DIR", help="a directory that gets the results, and goes on")
+                     help="cluster or processes that run the members (default: threads of this "
+                     "process)")
+    who.add_argument("--threads", type=int, metavar="N",
+                     help="number of threads (default: all processors)")
+    add("--store", type=Path, metavar="DIR",
+        help="folder for the results, from which the same command resumes")
     add("--output", type=Path, metavar="FILE", help="write the results to FILE.nc or FILE.npz")
     command.set_defaults(run=_run)
 
@@ -103,15 +110,15 @@ def _given(system: System, given: argparse.Namespace) -> tuple[Any, Any, Any, An
     axes: dict[str, Any] = {}
     for name, values in given.grid:
         if name in axes:
-            raise ValueError(f"--grid {name}: expected once, it is there more often")
+            raise ValueError(f"--grid {name} is given more than once: expected once")
         axes[name] = values
     if not axes:
-        raise ValueError("--grid: expected at least one, as --grid a=0:1:50")
+        raise ValueError("--grid is missing: give at least one, for example --grid a=0:1:50")
     design = grid(**axes)
     places = (*system.coordinates, *(f"v_{name}" for name in system.coordinates))
     for name in axes:
         if any(name == other for other, _ in given.parameter):
-            raise ValueError(f"{name}: expected --parameter or --grid, not both")
+            raise ValueError(f"{name} is given by --parameter and by --grid: expected one of them")
         arguments.choice(name, "--grid", dict.fromkeys((*system.parameters, *places), 0))
     chosen = {name: design.compact(name) for name in axes if name in system.parameters}
     moved = [name for name in axes if name not in system.parameters]
@@ -120,7 +127,9 @@ def _given(system: System, given: argparse.Namespace) -> tuple[Any, Any, Any, An
     arguments.pair(given.q0, given.v0, ("--q0", "--v0"), " for those of the system")
     start = (given.q0, given.v0) if given.q0 is not None else (system.q0, system.v0)
     if start[0] is None:
-        raise ValueError(f"--q0: needed, the system {system.name!r} has no initial data")
+        raise ValueError(
+            f"--q0 and --v0 are missing: the system {system.name!r} has no default initial data"
+        )
     x = np.broadcast_to(np.concatenate(start), (*design.shape, 2 * system.n)).copy()
     for name in moved:
         x[..., places.index(name)] = design[name]
@@ -144,7 +153,8 @@ def _run(given: argparse.Namespace) -> int:
             )  # fmt: skip
     except KeyboardInterrupt:
         if given.store is not None:
-            print(f"{given.store} has what there is; the same command goes on", file=sys.stderr)
+            print(f"{given.store} has the results so far; to resume, repeat the same command",
+                  file=sys.stderr)  # fmt: skip
         raise
     print(found)
     if given.output is not None:

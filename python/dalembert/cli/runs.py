@@ -21,57 +21,68 @@ from ..run.storage import SUFFIXES, require_suffix
 from ..study.recommendation import recommend
 from ..system import System
 
-MODEL = "a name of `dalembert systems`; or FILE.py:NAME, a System or a function that returns one"
+MODEL = "a name listed by `dalembert systems`, or FILE.py:NAME of a System or of a function for one"
+CONSISTENT = (
+    "initial velocities that violate the constraint: raise an error (check, the default), project "
+    "them, or use them unchanged (assume)"
+)
+KEPT_NODES = "initial data of a scheme with kept nodes"
 _OUTPUT = f"write the run to a file that ends in {', '.join(SUFFIXES)}"
 
 
 def add(commands: Any, numbers: Any, parameter: Any) -> None:
     """Add the commands to a parser; ``numbers`` and ``parameter`` read arguments."""
     advice = commands.add_parser(
-        "recommend", help="the scheme and the step for an accuracy, by trying some",
-        description="Try schemes on a system, and print which needs the least time for an "
-        "accuracy, all that was tried, and the command that makes the run.",
+        "recommend", help="find the scheme and the step for an accuracy, by trial runs",
+        description="Try schemes on a system.  Print the fastest one for an accuracy, the results "
+        "of all trials, and the command that starts the run.",
     )  # fmt: skip
     run = commands.add_parser(
-        "run", help="one run of a system, perhaps with a journal that survives anything",
-        description="Integrate a system, and print what came of it.",
+        "run", help="integrate a system once, optionally with a journal that survives a crash",
+        description="Integrate a system, and print a summary of the run.",
     )  # fmt: skip
     for command in (advice, run):
         command.add_argument("model", metavar="MODEL", help=MODEL)
         command.add_argument("--q0", type=numbers, metavar="X,Y,...",
-                             help="positions at the start (write --q0=-1,... for a minus)")
+                             help="initial positions (write --q0=-1,... for a minus sign)")
         command.add_argument("--v0", type=numbers, metavar="X,Y,...",
-                             help="velocities at the start, in D (write --v0=-1,... for a minus)")
+                             help="initial velocities, which satisfy the constraint (write "
+                             "--v0=-1,... for a minus sign)")
         command.add_argument("--t0", type=float, default=0.0, metavar="T",
-                             help="the time of the start")
-    advice.add_argument("--t-end", type=float, required=True, metavar="T",
-                        help="the time of the end")
+                             help="start time (default: 0)")
+    advice.add_argument("--t-end", type=float, required=True, metavar="T", help="end time")
     advice.add_argument("--accuracy", type=float, default=1e-6, metavar="E",
-                        help="what the error of the state at T may be, relative to "
-                        "1 + abs(x) (default: 1e-6)")
+                        help="largest admissible error of the state at T, relative to 1 + |x| "
+                        "(default: 1e-6)")
     run.add_argument("--scheme", metavar="NAME",
-                     help="a name of `dalembert schemes`, or beta (default: the cheapest of order "
-                     "2, leapfrog or midpoint; with --h auto its composition kl8)")
+                     help="scheme: a name listed by `dalembert schemes`, or a number beta "
+                     "(default: the cheapest of order 2, leapfrog or midpoint; with --h auto its "
+                     "composition kl8)")
     run.add_argument("--h", type=_step, required=True, metavar="H",
-                     help="the step, or auto: as long as the tolerance allows; or reversible")
+                     help="step size: a number, auto (as long as the tolerance allows) or "
+                     "reversible")
     run.add_argument("--tolerance", type=float, metavar="E",
-                     help="of --h auto (default: 1e-9), or of the scheme reference (1e-13)")
-    run.add_argument("--eps", type=float, metavar="E", help="of --h reversible")
-    run.add_argument("--h-max", type=float, metavar="H", help="the longest step of --h auto")
+                     help="tolerance of the step with --h auto (default: 1e-9), or of the scheme "
+                     "reference (default: 1e-13)")
+    run.add_argument("--eps", type=float, metavar="E",
+                     help="size of the steps with --h reversible, in units of the time scale of "
+                     "the motion (at most 0.2)")
+    run.add_argument("--h-max", type=float, metavar="H", help="longest step with --h auto")
     add_end(run, required=True)
     run.add_argument("--stride", type=int, metavar="K", help="store every K-th state (default: 1)")
-    run.add_argument("--consistent", choices=list(CONSISTENCY), default="check",
-                     help="velocities that are not in D: refuse, project, or use them")
-    run.add_argument("--initial", choices=list(INITIAL), help="how kept nodes start")
+    run.add_argument("--consistent", choices=list(CONSISTENCY), default="check", help=CONSISTENT)
+    run.add_argument("--initial", choices=list(INITIAL), help=KEPT_NODES)
     run.add_argument("--energy", choices=["keep"],
-                     help="keep: to roundoff, in twice the time")
+                     help="keep the energy constant to roundoff, which doubles the run time")
     run.add_argument("--no-check-h", dest="check_h", action="store_false", default=None,
                      help="do not estimate whether the step is too large")
     run.add_argument("--journal", type=Path, metavar="FILE",
-                     help="a new file, for `dalembert resume` and `dalembert info`")
+                     help="write a journal to a new FILE, for `dalembert resume` and "
+                     "`dalembert info`")
     goes_on = commands.add_parser(
-        "resume", help="go on with a run from its journal",
-        description="Go on with a run from its journal, bit for bit as if it had not stopped.",
+        "resume", help="resume a run from its journal",
+        description="Resume a run from its journal; the result is bitwise identical to an "
+        "uninterrupted run.",
     )  # fmt: skip
     _add_file(goes_on)
     add_end(goes_on, required=False)
@@ -80,15 +91,19 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
                              help="when the journal cannot be written: warn and continue without "
                              "it (default), or stop")
         command.add_argument("--output", type=Path, metavar="FILE", help=_OUTPUT)
-    info = commands.add_parser("info", help="what a journal, or a saved run, holds")
+    info = commands.add_parser("info", help="show the contents of a journal or a saved run")
     _add_file(info)
-    export = commands.add_parser("export", help="a journal, or a saved run, as another file")
-    export.add_argument("file", metavar="FILE", type=Path, help="a journal, .npz or .nc")
+    export = commands.add_parser(
+        "export", help="write a journal or a saved run to another file format"
+    )
+    export.add_argument("file", metavar="FILE", type=Path,
+                        help="journal or saved run (.npz or .nc)")
     export.add_argument("output", metavar="OUTPUT", type=Path, help=_OUTPUT)
     _add_model(export)
     for command in (advice, run, goes_on, info, export):
         command.add_argument("--parameter", action="append", default=[], type=parameter,
-                             metavar="NAME=VALUE", help="of the system; again for more")
+                             metavar="NAME=VALUE",
+                             help="set a parameter of the system (repeatable)")
     of: dict[Any, Callable[[argparse.Namespace], int]] = {
         advice: _recommend, run: _run, goes_on: _resume, info: _info, export: _export
     }  # fmt: skip
@@ -106,17 +121,17 @@ def _step(text: str) -> float | str:
 
 def add_end(command: Any, *, required: bool) -> None:
     end = command.add_mutually_exclusive_group(required=required)
-    end.add_argument("--t-end", type=float, metavar="T", help="the time of the end")
-    end.add_argument("--steps", type=int, metavar="N", help="the number of steps")
+    end.add_argument("--t-end", type=float, metavar="T", help="end time")
+    end.add_argument("--steps", type=int, metavar="N", help="number of steps")
 
 
 def _add_model(command: Any) -> None:
     command.add_argument("model", metavar="MODEL", nargs="?",
-                         help=f"the system, if it does not come with the library: {MODEL}")
+                         help=f"system, if it is not a built-in one: {MODEL}")
 
 
 def _add_file(command: Any) -> None:
-    command.add_argument("file", metavar="FILE", type=Path, help="a journal")
+    command.add_argument("file", metavar="FILE", type=Path, help="journal of a run")
     _add_model(command)
 
 
@@ -124,7 +139,7 @@ def model(text: str, parameters: dict[str, float]) -> System:
     """Return the system of an argument MODEL; raise ValueError if there is none."""
     path, colon, name = text.rpartition(":")
     if text.endswith(".py"):
-        raise ValueError(f"{text}: expected {text}:NAME, the name of a System in it")
+        raise ValueError(f"{text}: expected {text}:NAME with the name of a System in this file")
     if not colon or not path.endswith(".py"):
         return systems.get(text, **parameters)
     spec = importlib.util.spec_from_file_location(Path(path).stem, path)
@@ -145,14 +160,16 @@ def parameters(given: argparse.Namespace) -> dict[str, float]:
     found = dict(given.parameter)
     for name in found:
         if sum(name == other for other, _ in given.parameter) > 1:
-            raise ValueError(f"--parameter {name}: expected once, it is there more often")
+            raise ValueError(f"--parameter {name} is given more than once: expected once")
     return found
 
 
 def _system(given: argparse.Namespace) -> System | None:
     values = parameters(given)
     if given.model is None and values:
-        raise ValueError("--parameter without MODEL: those of a system of the library are in FILE")
+        raise ValueError(
+            "--parameter without MODEL: FILE already has the parameters of a built-in system"
+        )
     return None if given.model is None else model(given.model, values)
 
 
@@ -173,7 +190,7 @@ def _finish(given: argparse.Namespace, make: Callable[[], Solution], journal: Pa
             if ".py:" in str(given.model):
                 words.append(given.model)
                 words += [f"--parameter={name}={value!r}" for name, value in given.parameter]
-            print(f"{journal} has what there is; to go on: {shlex.join(words)}", file=sys.stderr)
+            print(f"{journal} has the run so far; to resume: {shlex.join(words)}", file=sys.stderr)
         if (partial := getattr(error, "partial", None)) is not None and given.output is not None:
             partial.save(given.output)
         raise
@@ -223,23 +240,23 @@ def _info(given: argparse.Namespace) -> int:
     journal = Journal.open(given.file)
     info, about = journal.info, journal.about["system"]
     values = ", ".join(f"{name} = {x:g}" for name, x in about["parameters"].items())
-    origin = "of the library" if about["of_library"] else "given by its user"
+    origin = "built-in" if about["of_library"] else "user-defined"
     digest = bytes(info.fingerprint[0:8]).hex()
     events = f", {info.events} events" if info.events else ""
     steps, hold = journal.steps(), journal.about["hold"]
-    held = f"{hold:g} of time" if steps.varies else f"{hold} steps"
+    held = f"a time of {hold:g}" if steps.varies else f"{hold} steps"
     inputs = f", {info.inputs} inputs held for {held}" if info.inputs else ""
     done = f"{info.done} of {info.steps} steps, t = {info.t0 + info.done * info.h:g}"
     if steps.varies:
-        done = f"{info.done} steps, of a run to t = {steps.t_end:g}"
+        done = f"{info.done} steps; the run ends at t = {steps.t_end:g}"
     lines = {
         "system": f"{about['name']}({', '.join(about['coordinates'])}), {origin}, {digest}",
         "parameters": values or "none",
-        "scheme": f"{string(info.scheme)}, {steps.how}, every {info.stride} steps is stored",
+        "scheme": f"{string(info.scheme)}, {steps.how}, a state every {info.stride} steps",
         "besides": f"{events}{inputs}".removeprefix(", ") or "no events, no inputs",
         "last snapshot": done,
         "records": f"{info.records}, of {info.size} bytes",
-        "written by": string(info.writer) + ", which is at it" * bool(info.is_written),
+        "written by": string(info.writer) + ", which is still writing" * bool(info.is_written),
     }
     if info.records:
         last = journal.records()[-1]

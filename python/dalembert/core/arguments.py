@@ -53,7 +53,7 @@ def _reals(value: Any) -> Array:
     rows = value if isinstance(value, (list, tuple)) else [value]
     for row in rows:
         if isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row):
-            raise ValueError("values that are masked")
+            raise ValueError("masked values")
     given = np.asarray(value)
     if value is None or given.dtype.kind not in "biufO":
         raise TypeError("None" if value is None else f"values of type {given.dtype}")
@@ -98,7 +98,9 @@ def tolerance(value: Any) -> float:
     """Return ``value`` as a tolerance of the reference flow; ValueError otherwise."""
     result = number(value, "tolerance")
     if not 2.0**-51 <= result <= 0.1:
-        raise ValueError(f"tolerance = {result!r} is not in [4.4e-16, 0.1]")
+        raise ValueError(
+            f"tolerance = {result!r}: expected a number from 4.4e-16 (roundoff) to 0.1"
+        )
     return result
 
 
@@ -108,7 +110,7 @@ def step_size(value: Any, t: float, name: str = "h") -> float:
     if h == 0.0:
         raise ValueError(f"{name} = 0: expected a number other than 0, negative to go back in time")
     if not math.isfinite(t):
-        raise ValueError(f"{name} = {h!r} leads to the time t = {t!r}: expected a finite one")
+        raise ValueError(f"{name} = {h!r} leads to the time t = {t!r}: expected a finite time")
     if abs(h) < sys.float_info.min:
         raise ValueError(f"{name} = {h!r}: expected at least {sys.float_info.min:.1e} in size")
     if t + h == t:
@@ -169,7 +171,7 @@ def function(value: Any, name: str, taken: str = "") -> None:
         signature.bind(*taken.split(", "))
     except TypeError as error:
         raise ValueError(
-            f"{name} is a function of {signature}: expected one of ({taken})"
+            f"{name} is a function of {signature}: expected a function of ({taken})"
         ) from error
 
 
@@ -193,7 +195,9 @@ def units(value: Any, coordinates: Sequence[str]) -> dict[str, str]:
             hint = "" if key in known else suggestion(key, known)
             raise ValueError(f"units: {shown(key)} {what}; {hint}expected some of {expected}")
         if not isinstance(unit, str) or not unit.strip() or not unit.isprintable():
-            raise ValueError(f"units[{key!r}] = {shown(unit)}: expected the name of a unit, as 'm'")
+            raise ValueError(
+                f"units[{key!r}] = {shown(unit)}: expected the name of a unit, for example 'm'"
+            )
     return found
 
 
@@ -230,14 +234,15 @@ def inputs(
     if given is None:
         return np.zeros((count, width))
     if width == 0:
-        raise ValueError(f"{name} = {shown(given)}: the system takes no inputs")
+        raise ValueError(f"{name} = {shown(given)}: the system has no inputs; remove it")
     if not isinstance(given, Mapping):
         rows = array(given, name, (width,), (count, width))
         return np.ascontiguousarray(np.broadcast_to(rows, (count, width)))
     for key in given:
         if key not in names:
             raise ValueError(
-                f"{name}: {key!r} is no input; {suggestion(key, names)}expected {', '.join(names)}"
+                f"{name}: {key!r} is not an input; {suggestion(key, names)}expected "
+                f"{', '.join(names)}"
             )
     if missing := [key for key in names if key not in given]:
         raise ValueError(f"{name}: {missing[0]} is missing; expected {', '.join(names)}")
@@ -249,7 +254,9 @@ def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str = "") -
     """Raise ValueError if one of two arguments is given without the other."""
     if (first is None) != (second is None):
         there, missing = names if second is None else names[::-1]
-        raise ValueError(f"{there} without {missing}: expected both, or neither{otherwise}")
+        raise ValueError(
+            f"{there} is given without {missing}: expected both, or neither{otherwise}"
+        )
 
 
 def choice(value: Any, name: str, choices: dict[str, int]) -> int:
@@ -309,8 +316,8 @@ def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:
         result = _reals(value)
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"{name} has to return real numbers of shape {shape}, it returned {error}"
+            f"{name} returned {error}: expected real numbers of shape {shape}"
         ) from error
     if result.shape != shape:
-        raise ValueError(f"{name} has to return shape {shape}, it returned {result.shape}")
+        raise ValueError(f"{name} returned shape {result.shape}: expected {shape}")
     return result

@@ -223,8 +223,8 @@ def _write_several(
         several = ()
     if len(several) != len(targets):
         raise ValueError(
-            f"{names[0].rpartition(' ')[0]} has to return {len(targets)} arrays of shape {shape}, "
-            f"it returned {shown(values)}"
+            f"{names[0].rpartition(' ')[0]} returned {shown(values)}: expected {len(targets)} "
+            f"arrays of shape {shape}"
         )
     for target, value, what in zip(targets, several, names):
         _write(target, value, shape, what)
@@ -275,7 +275,7 @@ def dal_py_observer(step: int, t: float, x: Any, ctx: Any) -> int:
         return bool(answer)
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"observer has to return whether to stop, it returned {shown(answer)}"
+            f"observer returned {shown(answer)}: expected True to stop, else False or None"
         ) from error
 
 
@@ -295,8 +295,8 @@ def dal_py_event(t: float, x: Any, g: Any, ctx: Any) -> int:
     value = call.g(t, *_halves(call, x))
     if isinstance(value, (bool, np.bool_)):
         raise ValueError(
-            f"{call.name} returned {value}, a condition: expected a number that changes its sign "
-            "where it happens, as q[0] - 1 for q[0] > 1"
+            f"{call.name} returned {value}, a condition: expected a number that changes sign "
+            "at the event, for example q[0] - 1 for q[0] > 1"
         )
     _write(g, value, (), call.name)
     return 0

@@ -16,7 +16,7 @@ def require_writable(path: str | Path) -> None:
     """Raise OSError, with the name of the file, if `write` would fail; change nothing."""
     target = Path(path)
     if target.is_dir():
-        raise OSError(errno.EISDIR, "this is a folder, expected the name of a file", str(target))
+        raise OSError(errno.EISDIR, "this is a folder; expected the name of a file", str(target))
     if _is_device(target):
         return
     if not target.parent.is_dir():
@@ -38,7 +38,7 @@ def require_folder(path: str | Path) -> None:
     """Raise OSError, with the name of the folder, if files in it could not be written."""
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
-        raise OSError(errno.ENOTDIR, "this is a file, expected the name of a folder", str(folder))
+        raise OSError(errno.ENOTDIR, "this is a file; expected the name of a folder", str(folder))
     with _naming(folder):
         require_writable((folder if folder.is_dir() else folder.parent) / "index.html")
 

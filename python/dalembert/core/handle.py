@@ -239,7 +239,7 @@ def require_autonomous(system: Any, what: str) -> None:
     require_system(system)
     if system.is_time_dependent:
         raise ValueError(
-            f"system = {system!r}: expected one that does not depend on time for {what}"
+            f"system = {system!r}: expected a system that does not depend on time for {what}"
         )
 
 
@@ -247,6 +247,6 @@ def require_system(value: Any) -> None:
     """Raise ValueError unless ``system`` is a System."""
     if not isinstance(value, Handle):
         raise ValueError(
-            f"system = {shown(value)}: expected a dalembert.System, as "
-            "dalembert.systems.sleigh() returns"
+            f"system = {shown(value)}: expected a dalembert.System, for example "
+            "dalembert.systems.sleigh()"
         )

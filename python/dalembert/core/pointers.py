@@ -57,11 +57,11 @@ def find(name: str, value: Any, callback: str | None = None) -> Pointer | None:
         return None
     pointer, arguments = found
     if pointer.address == 0:
-        raise ValueError(f"{name} = {value!r}: a C function at address NULL")
+        raise ValueError(f"{name} = {value!r}: the address of the C function is NULL")
     callback = callback or name
     if arguments is not None and arguments != ARGUMENTS[callback]:
         raise ValueError(
-            f"{name} = {value!r}: a C function of {arguments} arguments, expected the "
+            f"{name} = {value!r}: the C function has {arguments} arguments, expected the "
             f"{ARGUMENTS[callback]} of dal_{callback}_fn in dalembert.h"
         )
     return pointer
@@ -150,7 +150,9 @@ def context(given: Any, pointers: Mapping[str, Pointer]) -> tuple[Any, Any]:
     if given is None:
         told = {int(_address(p.user_data)) for p in pointers.values() if p.user_data is not None}
         if len(told) > 1:
-            raise ValueError("ctx: the callbacks have different user_data, and there is one ctx")
+            raise ValueError(
+                "ctx: the callbacks have different user_data; expected the same for all"
+            )
         return ffi.cast("void *", told.pop() if told else 0), dict(pointers)
     return ffi.cast("void *", _address(given)), (given, dict(pointers))
 

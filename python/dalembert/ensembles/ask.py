@@ -120,14 +120,14 @@ class Kept:
         for name in names:
             arguments.choice(name, "keep", known)
         if {"end", "all"} <= {*names}:
-            raise ValueError("keep: 'end' and 'all' are both in it, expected one of them")
+            raise ValueError("keep contains 'end' and 'all': expected only one of them")
         taken = {"end", "all", "q", "v", *measures, *TAKEN}
         columns = {name: places[name] for name in names if name in places}
         for name in columns:
             if name in taken or (name in velocities and name in system.coordinates):
                 raise ValueError(
-                    f"keep: {name!r} is a coordinate and something else; keep 'all', which has "
-                    "them by number"
+                    f"keep: {name!r} is the name of a coordinate and of another quantity; use "
+                    "keep='all', which numbers them"
                 )
         chosen = tuple(name for name in measures if name in names)
         whole = bool({"all", "q", "v"} & {*names}) or not (columns or chosen)
@@ -242,7 +242,9 @@ def members_shape(given: Mapping[str, Given | None]) -> tuple[int, ...]:
         return np.broadcast_shapes(*leading.values())
     except ValueError:
         shown = ", ".join(f"{name}: {shape}" for name, shape in leading.items())
-        raise ValueError(f"members: the leading axes do not broadcast together: {shown}") from None
+        raise ValueError(
+            f"the leading axes of the members do not broadcast together: {shown}"
+        ) from None
 
 
 def read_members(
@@ -257,7 +259,9 @@ def read_members(
     n = system.n
     arguments.pair(q0, v0, ("q0", "v0"), " for those of the system")
     if q0 is None and system.q0 is None:
-        raise ValueError(f"q0: needed, the system {system.name!r} has no initial data")
+        raise ValueError(
+            f"q0 and v0 are missing: the system {system.name!r} has no default initial data"
+        )
     found: dict[str, Any] = {
         name: None if x is None else _given(x, name, n) for name, x in (("q0", q0), ("v0", v0))
     }
@@ -280,7 +284,7 @@ def _inputs(inputs: Any, system: System, holds: int) -> Given:
     if isinstance(inputs, Mapping) or np.ndim(inputs) <= 2:
         return Given(arguments.inputs(inputs, system.inputs, holds), 2)
     if not system.inputs:
-        raise ValueError("inputs: the system takes no inputs")
+        raise ValueError("inputs: the system has no inputs; remove it")
     return _given(inputs, "inputs", holds, len(system.inputs))
 
 

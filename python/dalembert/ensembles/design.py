@@ -77,7 +77,9 @@ def grid(**values: ArrayLike) -> Design:
            [1., 2.]])
     """
     if not values:
-        raise ValueError("grid(): expected names with values, as grid(a=[0.1, 0.2])")
+        raise ValueError(
+            "grid() has no arguments: expected names with values, for example grid(a=[0.1, 0.2])"
+        )
     rows = {name: arguments.array(given, name, (None,)) for name, given in values.items()}
     for name, row in rows.items():
         if len(row) == 0:
@@ -127,7 +129,10 @@ def sample(count: int, *, seed: int = 0, method: str = "sobol", **ranges: Any) -
     count = arguments.integer(count, "count", 1)
     arguments.choice(method, "method", dict.fromkeys(_METHODS, 0))
     if not ranges:
-        raise ValueError("sample(): expected names with ranges, as sample(100, a=(0.1, 0.2))")
+        raise ValueError(
+            "sample() has no ranges: expected names with ranges, for example sample(100, "
+            "a=(0.1, 0.2))"
+        )
     qmc = extras.require("scipy.stats.qmc", "sample")
     sequence = getattr(qmc, _METHODS[method])(len(ranges), seed=arguments.integer(seed, "seed", 0))
     power = (count - 1).bit_length()

@@ -173,12 +173,14 @@ def ensemble(
     ask = _ask(**{name: value for name, value in locals().items() if name not in _HOW})
     if lanes and (why := work.without_lanes(ask.setting, inputs is not None)):
         warnings.warn(
-            f"lanes = True has no effect, members are stepped one by one: {why}",
+            f"lanes = True has no effect, because members are stepped one by one: {why}",
             DalembertWarning, stacklevel=2,
         )  # fmt: skip
         ask = dataclasses.replace(ask, setting=dataclasses.replace(ask.setting, lanes=False))
     if executor is not None and threads is not None:
-        raise ValueError(f"threads = {threads} with an executor: expected one of the two")
+        raise ValueError(
+            f"threads = {threads} is given together with an executor: expected one of the two"
+        )
     path, count = None if store is None else _folder(store), pool.threads_of(threads)
     pieces = pool.Blocks(ask, _size(ask, block, path is not None or executor is not None))
     data: Memory | Stored
@@ -259,7 +261,7 @@ def open_ensemble(path: str | os.PathLike[str], system: System | None = None) ->
     about = stores.read_about(path)
     arrays = stores.read_members(path, about["mark"])
     if about["mark"] != _mark(about, arrays):
-        raise StoreError(f"{path}: what was given for its members is not what it was made for")
+        raise StoreError(f"{path}: the arguments of the members differ from those in the store")
     ask = _ask_of(about, arrays, require_same(system, about["system"], path))
     return Ensemble(ask, Stored(path, about["mark"], ask, about["block"]))
 
@@ -279,7 +281,7 @@ def _ask(
     t0 = arguments.number(t0, "t0")
     kept = Kept.of(keep, system)
     if isinstance(h, str):
-        raise ValueError(f"h = {h!r}: ensembles have steps of one size, expected numbers")
+        raise ValueError(f"h = {h!r}: expected numbers, because ensembles take steps of fixed size")
     require(
         kind_of(record, method=method), inputs=inputs, hold=hold, events=events, initial=initial,
         max_iterations=max_iterations, energy=energy, method=method, tolerance=tolerance,
@@ -294,12 +296,14 @@ def _ask(
     holds = 1 if hold is None else arguments.integer(hold, "hold", 1)
     inputs = take_inputs(system, inputs)
     if inputs is not None and not is_control(inputs) and len(set(counts)) > 1:
-        raise ValueError("inputs: step sizes differ, and so do the numbers of steps; expected a "
-                         "function, or one number of steps")
+        raise ValueError(
+            "inputs: the numbers of steps differ between members; expected a function, or the "
+            "same number of steps"
+        )
     if callable(inputs):
         arguments.function(inputs, "inputs", "t, q, v")
         if not system.inputs:
-            raise ValueError("inputs: the system takes no inputs")
+            raise ValueError("inputs: the system has no inputs; remove it")
     given = read_members(system, q0, v0, parameters, inputs, -(-counts[0] // holds))
     require_parameters(system.name, given["parameters"], system.parameters)
     all_given = {**{k: x for k, x in given.items() if k != "parameters"}, "h": Given(sizes),
@@ -327,13 +331,15 @@ def _stride(stride: Any, kept: Kept, counts: list[int]) -> int:
     """Return the stride, 0 if only the end is kept."""
     if kept.at_end:
         if stride is not None:
-            raise ValueError(f"stride = {stride}: the end alone is kept, which has none")
+            raise ValueError(
+                f"stride = {stride} has no effect, because only the end is kept: remove it"
+            )
         return 0
     found = 1 if stride is None else arguments.integer(stride, "stride", 1)
     if kept.reduce is None and len(set(counts)) > 1:
         raise ValueError(
-            "keep: step sizes differ, and so do the numbers of steps and of rows; expected 'end' "
-            "with it, or a function of a Solution"
+            "keep: the numbers of rows differ between members; expected 'end', or a function "
+            "of a Solution"
         )
     for count in counts:
         if count % found:
@@ -408,8 +414,9 @@ def _require_memory(ask: Ask) -> None:
     memory = available_memory() if size > 2**24 else size
     if size > memory:
         raise MemoryError(
-            f"{ask.count} members of {ask.rows} rows are {size} bytes ({size / 2**30:.4g} GiB); "
-            f"this machine has {memory / 2**30:.4g} GiB: keep less of them, or give a store"
+            f"{ask.count} members of {ask.rows} rows need {size} bytes ({size / 2**30:.4g} "
+            f"GiB), and this machine has {memory / 2**30:.4g} GiB: keep fewer quantities, or "
+            "pass store="
         )
 
 
@@ -419,13 +426,13 @@ def _warn(found: Ensemble) -> None:
     if len(failed):
         first = int(failed[0])
         warnings.warn(
-            f"{len(failed)} of {len(found)} members failed, see failed and message(k); the first, "
-            f"{first}: {found.message(first)}", DalembertWarning, stacklevel=3,
+            f"{len(failed)} of {len(found)} members failed, see failed and message(k); the "
+            f"first is member {first}: {found.message(first)}", DalembertWarning, stacklevel=3,
         )  # fmt: skip
     if len(doubtful):
         warnings.warn(
             f"{len(doubtful)} of {len(found)} members are doubtful, see doubtful; "
-            f"member({int(doubtful[0])}) says why", DalembertWarning, stacklevel=3,
+            f"member({int(doubtful[0])}) gives the reason", DalembertWarning, stacklevel=3,
         )  # fmt: skip
 
 
@@ -438,7 +445,8 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
     scheme, kept = setting.scheme._data(), setting.kept
     if scheme is None:
         raise ValueError(
-            f"store: the scheme {setting.scheme.name!r} has functions, which a store cannot keep"
+            f"store: the scheme {setting.scheme.name!r} is made of functions, which a store "
+            "cannot save"
         )
     events = [
         [str(one.g) if hasattr(one.g, "free_symbols") else digest(one.g), float(one.direction),

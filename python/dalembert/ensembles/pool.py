@@ -256,7 +256,7 @@ def _lost(ask: Ask, blocks: Blocks, index: int) -> work.Block:
     made = work.empty(ask.setting, ask.rows, end - begin)
     made["status"][:] = lib.DAL_EUSER
     made["messages"] = dict.fromkeys(
-        range(end - begin), "the process that made this block of members died, again and again"
+        range(end - begin), "the worker process of this block of members died repeatedly"
     )
     return made
 

@@ -38,8 +38,9 @@ class Memory:
                 self._arrays[name] = np.full((self._count, *x.shape[1:]), *_blank(name, x.dtype))
             if self._arrays[name].shape[1:] != x.shape[1:]:
                 raise ValueError(
-                    f"keep returned {name!r} of shape {x.shape[1:]}, and of another member of "
-                    f"shape {self._arrays[name].shape[1:]}: expected the same"
+                    f"keep returned {name!r} of shape {x.shape[1:]}, but of shape "
+                    f"{self._arrays[name].shape[1:]} for another member: expected the same "
+                    "shape"
                 )
             self._arrays[name][begin : begin + len(x)] = x
 
@@ -158,7 +159,7 @@ class Stored:
             or x.shape[:1] != (size,)
             or (shape is not None and (x.shape[1:] != shape or x.dtype != kind))
         ):
-            raise store.damaged(self.path, index, f"it is not as it should be: {name}")
+            raise store.damaged(self.path, index, f"the file is not valid: {name}")
         return x
 
     def by_dask(self, name: str, n: int) -> Any:
@@ -279,8 +280,9 @@ class Ensemble(Mapping[str, Any]):
             return x[..., :n] if name == "q" else x[..., n:]
         if name not in self._data.names():
             raise KeyError(
-                f"there is no {name!r}; there are {', '.join(self)}; what keep= of dal.ensemble "
-                "names is kept too, and to_xarray() is written to files"
+                f"there is no attribute {name!r}: expected one of {', '.join(self)}. To store "
+                "more quantities, name them in keep= of dal.ensemble; to write files, use "
+                "to_xarray()"
             )
         return self._data.array(name)
 
@@ -352,7 +354,7 @@ class Ensemble(Mapping[str, Any]):
             return arguments.integer(k, "k", -len(self), len(self) - 1) % len(self)
         if len(k) != len(self.shape):
             raise ValueError(
-                f"k = {k}: expected a number or, of the axes, {len(self.shape)} numbers"
+                f"k = {k}: expected a number, or {len(self.shape)} numbers, one for each axis"
             )
         where = [
             arguments.integer(one, f"k[{axis}]", -size, size - 1) % size
@@ -383,8 +385,8 @@ class Ensemble(Mapping[str, Any]):
         """
         if self._ask.lacks:
             raise ValueError(
-                f"member({k}): a store does not keep functions, and this ensemble has "
-                f"{', '.join(self._ask.lacks)}; dal.ensemble with the same arguments has them"
+                f"member({k}): this ensemble has {', '.join(self._ask.lacks)}, and a store "
+                "cannot save functions; repeat dal.ensemble with the same arguments"
             )
         stride = self.stride or 1 if stride is None else stride
         return work.member(self._ask, self._number(k), stride=stride, throw=throw)

@@ -64,8 +64,8 @@ def create(
         for path in sorted(root.iterdir()):
             if not _GIVEN.fullmatch(path.name) and not files.is_draft(path):
                 raise ValueError(
-                    f"store = {directory!r}: expected a new or empty directory, or a store; there "
-                    f"is {path.name!r} in it"
+                    f"store = {directory!r}: expected a new or empty directory, or a store, "
+                    f"but it contains {path.name!r}"
                 )
         for name, x in given.items():
             _save(root / f"given-{mark[:12]}-{name}.npy", x)
@@ -78,8 +78,8 @@ def create(
         compared = here.keys() - {"mark", "block", "seal"}
         differs = [key for key in here if key in compared and found.get(key) != here[key]]
         raise ValueError(
-            f"store = {directory!r}: it is of another ensemble, which differs in "
-            f"{', '.join(differs) or 'what was given for its members'}"
+            f"store = {directory!r} belongs to another ensemble, which differs in "
+            f"{', '.join(differs) or 'the arguments of the members'}"
         )
     return found
 
@@ -92,16 +92,21 @@ def read_about(directory: str) -> dict[str, Any]:
         is_store = about["format"] == "dalembert ensemble"
         version = about["version"]
     except FileNotFoundError:
-        raise ValueError(f"{directory!r} is no store of an ensemble: it has no {ABOUT}") from None
+        raise ValueError(
+            f"{directory!r} is not the store of an ensemble: it has no {ABOUT}"
+        ) from None
     except (ValueError, KeyError, TypeError, UnicodeDecodeError):
         is_store, version = False, None
     if not is_store:
-        raise ValueError(f"{str(path)!r} is no description of an ensemble")
+        raise ValueError(f"{str(path)!r} is not the description of an ensemble")
     if version != VERSION:
-        raise ValueError(f"{str(path)!r} has version {version!r}: this dalembert reads {VERSION}")
+        raise ValueError(
+            f"{str(path)!r} has version {version!r}: this version of dalembert reads version "
+            f"{VERSION}"
+        )
     mark, size = about.get("mark"), about.get("block")
     if not isinstance(size, int) or size < 1 or about.get("seal") != seal(str(mark), size):
-        raise ValueError(f"{str(path)!r} was changed by hand, or is damaged")
+        raise ValueError(f"{str(path)!r} was edited, or is damaged")
     return about  # type: ignore[no-any-return]
 
 
@@ -148,7 +153,7 @@ def write(directory: str, index: int, mark: str, made: work.Block) -> None:
         If the store now belongs to another ensemble.
     """
     if read_about(directory)["mark"] != mark:
-        raise StoreError(f"{directory} is not the store of this ensemble any more")
+        raise StoreError(f"{directory} is no longer the store of this ensemble")
     messages = made["messages"]
     arrays = {name: x for name, x in made.items() if name != "messages"}
     arrays["failed"] = np.array(sorted(messages), np.int64)
@@ -216,7 +221,9 @@ def _check(path: Path, mark: str, index: int) -> None:
 
 def _require(path: Path, found: Any, mark: str, index: int) -> None:
     if found is None or list(map(str, np.ravel(found))) != [mark, str(index)]:
-        raise StoreError(f"{path} is no block of this ensemble: remove it, and it is made again")
+        raise StoreError(
+            f"{path} is not a block of this ensemble: remove it, and it will be computed again"
+        )
 
 
 @contextlib.contextmanager
@@ -227,14 +234,16 @@ def _reading(path: Path) -> Iterator[None]:
     except FileNotFoundError:
         raise StoreError(f"{path} is not there") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        why = "it holds no arrays" if isinstance(error, ValueError) else error
-        raise StoreError(f"{path} is damaged ({why}): remove it, and it is made again") from None
+        why = "it contains no arrays" if isinstance(error, ValueError) else error
+        raise StoreError(
+            f"{path} is damaged ({why}): remove it, and it will be computed again"
+        ) from None
 
 
 def damaged(directory: str, index: int, why: str) -> StoreError:
     """Return the exception for a damaged block."""
     path = _path(directory, index)
-    return StoreError(f"{path} is damaged ({why}): remove it, and it is made again")
+    return StoreError(f"{path} is damaged ({why}): remove it, and it will be computed again")
 
 
 def _save(path: Path, arrays: Any) -> None:

@@ -154,7 +154,7 @@ def without_lanes(setting: Setting, has_inputs: bool) -> str:
         return f"the scheme {scheme.name!r} has kept nodes or no sub-steps"
     given = {"events": setting.events, "energy": setting.energy, "inputs": has_inputs}
     if there := [name for name, value in given.items() if value]:
-        return f"{there[0]} are looked after member by member"
+        return f"{there[0]} are checked for each member"
     if not is_in_c(setting):
         return "Python functions are called for each member"
     if lanes.twin(setting.system) is None:
@@ -444,9 +444,7 @@ def _reduce(value: Any, made: Block, k: int, count: int) -> None:
     found = value if isinstance(value, Mapping) else {"value": value}
     for name, given in found.items():
         if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED:
-            raise ValueError(
-                f"keep returned the name {name!r}: expected an identifier that is not taken"
-            )
+            raise ValueError(f"keep returned the name {name!r}: expected an unused identifier")
         shape = arguments.shape(given)
         if not isinstance(shape, tuple):
             raise ValueError(f"keep returned {name!r} as {shape}: expected a number or an array")
@@ -455,8 +453,8 @@ def _reduce(value: Any, made: Block, k: int, count: int) -> None:
             made[name] = np.full((count, *x.shape), np.nan)
         if made[name].shape[1:] != x.shape:
             raise ValueError(
-                f"keep returned {name!r} of shape {x.shape}, and of another member of shape "
-                f"{made[name].shape[1:]}: expected the same"
+                f"keep returned {name!r} of shape {x.shape}, but of shape "
+                f"{made[name].shape[1:]} for another member: expected the same shape"
             )
         made[name][k] = x
 

@@ -58,12 +58,16 @@ class Difference:
         return cls(**core.members(found) | truth)
 
     def __str__(self) -> str:
-        left = f"{self.unjudged} not judged: differences do not converge" if self.unjudged else ""
+        left = (
+            f"{self.unjudged} not judged: finite differences do not converge"
+            if self.unjudged
+            else ""
+        )
         if not self.checked:
             return left or "not given, nothing to compare"
         return (
-            f"worst error {self.error:.1e} at [{self.row}, {self.column}]: "
-            f"given {self.given:.10g}, by differences {self.expected:.10g}"
+            f"largest error {self.error:.1e} at [{self.row}, {self.column}]: given "
+            f"{self.given:.10g}, by finite differences {self.expected:.10g}"
             + (f"; {left}" if left else "")
         )
 

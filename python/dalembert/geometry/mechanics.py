@@ -48,7 +48,7 @@ def states(
     q = arguments.array(q, names[0], (n,), (None, n))
     v = arguments.array(v, names[1], (n,), (None, n))
     if q.shape != v.shape:
-        raise ValueError(f"{names[1]}: expected shape {q.shape} as {names[0]} has, got {v.shape}")
+        raise ValueError(f"{names[1]}: expected shape {q.shape}, as for {names[0]}, got {v.shape}")
     return np.concatenate([np.atleast_2d(q), np.atleast_2d(v)], axis=1), q.ndim == 1
 
 
@@ -88,7 +88,9 @@ def initial(
     for given, default, name in ((q0, system.q0, q_name), (v0, system.v0, v_name)):
         value = default if given is None else given
         if value is None:
-            raise ValueError(f"{name}: needed, the system {system.name!r} has no initial data")
+            raise ValueError(
+                f"{name} is missing: the system {system.name!r} has no default initial data"
+            )
         found.append(arguments.array(value, name, (system.n,)))
     return found[0], found[1]
 
@@ -704,7 +706,7 @@ def _mask(system: Handle, keep: Any) -> list[int]:
         given = [keep]
     if given and all(isinstance(k, bool | np.bool_) for k in given):
         if len(given) != n:
-            raise ValueError(f"keep: expected {n} truth values, got {len(given)}")
+            raise ValueError(f"keep: expected {n} values True or False, got {len(given)}")
         return [int(k) for k in given]
     places = []
     for k in given:
@@ -714,12 +716,13 @@ def _mask(system: Handle, keep: Any) -> list[int]:
             places.append(arguments.integer(k, "keep", 0, n - 1))
             if places.count(k) > 1:
                 raise ValueError(
-                    f"keep = {arguments.shown(keep)}: {k} is there twice; truth values are bool"
+                    f"keep = {arguments.shown(keep)}: {k} occurs twice; for a mask, use True "
+                    "and False"
                 )
         else:
             raise ValueError(
-                f"keep = {arguments.shown(keep)}: expected names or places of coordinates, or {n} "
-                "truth values"
+                f"keep = {arguments.shown(keep)}: expected names or indices of coordinates, "
+                f"or {n} values True or False"
             )
     return [int(i in places) for i in range(n)]
 
@@ -730,6 +733,6 @@ def place(system: Handle, name: str, argument: str) -> int:
     if name not in names:
         raise ValueError(
             f"{argument}: there is no coordinate {arguments.shown(name)}; "
-            f"{arguments.suggestion(name, names)}there are {', '.join(names)}"
+            f"{arguments.suggestion(name, names)}choose from {', '.join(names)}"
         )
     return names.index(name)

@@ -54,8 +54,8 @@ def examine(
     )
     where, note = "", found.growth_note
     if forms.in_pieces and general[-1] < n and not proved:
-        where = ", as far as is seen around here"
-        note = note or "mu is given in pieces, and only those around here were looked at"
+        where = ", as far as points nearby show"
+        note = note or "mu is given in pieces, and only those near this point were examined"
     named = [f"constraints[{a}]: {model.shown(model.constraints[a])} = 0{where}" for a in alone]
     hidden = n - general[-1] if settled else 0
     if hidden > len(alone):
@@ -68,7 +68,7 @@ class _Forms:
     """mu as expressions, and as a function in the precision of mpmath."""
 
     digits = 30
-    lost = "cannot be told from 0 at a point that is known to 16 digits"
+    lost = "cannot be distinguished from 0, because the point is known only to 16 digits"
 
     def __init__(self, model: Model, values: Mapping[str, float]) -> None:
         numbers = {p: sympy.Rational(x) for p, x in zip(model.p, values.values())}

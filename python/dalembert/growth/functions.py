@@ -22,7 +22,10 @@ class _Functions:
     """mu given by functions, see `search.explore`."""
 
     digits = 16
-    lost = "are lost in the rounding errors of functions; System.from_sympy has more digits"
+    lost = (
+        "are lost in the rounding errors of the functions; System.from_sympy computes with more "
+        "digits"
+    )
     most_there = _ORDERS
 
     def __init__(self, system: Handle) -> None:
@@ -60,7 +63,7 @@ class _Point:
                 if abs(row - twin).max() <= 64 * self.rounding * max(1, abs(row).max()):
                     return row, twin
             self._h /= 2
-        raise DalembertError("mu does not seem to be smooth there")
+        raise DalembertError("mu does not appear to be smooth there")
 
     def _row(self, word: Word, h: float) -> Array:
         stencil = [(h * step, self._h / h * weight) for step, weight in _STENCIL]

@@ -229,7 +229,7 @@ def _general(source: Any, near: Array, show: Show) -> tuple[list[Any], Growth | 
                 break
         if points:
             return points, best, note
-    return points, None, f"no point was found where mu can be examined: {lack}"
+    return points, None, f"found no point where mu can be examined: {lack}"
 
 
 def _look(

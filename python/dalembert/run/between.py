@@ -30,7 +30,10 @@ def fill(run: Any, times: Array, x: Array) -> None:
         t, first, last = float(times[outside][0]), float(known[0]), float(known[-1])
         raise ValueError(f"t = {t!r}: expected times from {first!r} to {last!r}")
     if run.nodes == "kept":
-        raise ValueError(f"t: between states of {run.scheme.name!r} with inputs none are made")
+        raise ValueError(
+            f"t: no states are computed between those of {run.scheme.name!r} with inputs; "
+            "expected times of stored states"
+        )
     record, kept = run.scheme._record_of(run.system)
     stepper = core.make(
         "stepper", run.system._handle, record, options_of(run.control),

@@ -97,8 +97,8 @@ def _event(one: Any, name: str) -> Event:
         one = Event(one, **{key: getattr(one, key) for key in fields if hasattr(one, key)})
     if getattr(one.g, "is_Relational", False) or getattr(one.g, "is_Boolean", False):
         raise ValueError(
-            f"{name} = {one.g}: a condition; expected an expression that changes its sign where it "
-            "happens, as x - 1 for x > 1"
+            f"{name} = {one.g} is a condition: expected an expression that changes sign at "
+            "the event, for example x - 1 for x > 1"
         )
     if not (is_expression(one.g) or callable(one.g)):
         raise ValueError(f"{name} = {arguments.shown(one.g)}: expected g(t, q, v) or an expression")
@@ -210,9 +210,9 @@ class Watch:
         if doubts := lib.dal_events_doubts(self.handle, number, t, g):
             often = "once" if doubts == 1 else f"{doubts} times"
             yield (
-                f"events[{int(number[0])}] comes so near to zero within a step, {often}, first at "
-                f"t = {t[0]:g} with g = {g[0]:.3g}, that the error of the step is larger: whether "
-                "it happens there cannot be told; take a smaller h"
+                f"events[{int(number[0])}] comes close to zero within a step, {often}, first "
+                f"at t = {t[0]:g} with g = {g[0]:.3g}. The error of the step is larger, so "
+                "the run cannot decide whether the event happens; take a smaller h"
             )
 
 

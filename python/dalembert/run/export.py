@@ -87,7 +87,7 @@ def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
     units = {**run.system.units, **arguments.units(units, names)}
     axes = {
         "q": (along, "coordinates"),
-        "v": (along, "velocities, in units of the coordinates by that of the time"),
+        "v": (along, "velocities, in units of the coordinates per unit of time"),
         "multipliers": (("time", "form"), "lambda(q, v) by the formula: forces"),
         "energy": ("time", "energy"),
         "constraint": (("time", "form"), "phi(q, v)"),
@@ -107,7 +107,8 @@ def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
     if "energy" in units:
         data["energy"][2]["units"] = units["energy"]
     if run.system.inputs:
-        words = f"of the force, each row for {run.hold:g} {'of time' if run.control else 'steps'}"
+        applies = f"a time of {run.hold:g}" if run.control else f"{run.hold:g} steps"
+        words = f"inputs of the force; a row applies for {applies}"
         data["inputs"] = (("hold", "input"), run.inputs, {"long_name": words})
         coordinates["input"] = list(run.system.inputs)
     return xarray.Dataset(

@@ -377,7 +377,9 @@ def resume(
     inputs = take_inputs(system, inputs)
     journal.require_law(system, inputs)
     if about["inputs"] and inputs is None:
-        raise ValueError(f"inputs: needed, the run of {journal.path} has some")
+        raise ValueError(
+            f"inputs is missing: the run of {journal.path} has inputs, so pass the same"
+        )
     options = options_of(sizes.control, about["max_iterations"], about.get("energy"))
     c_record, kept = record._record_of(system)
     stepper = core.make("stepper", system._handle, c_record, options, owner=(system._handle, kept))
@@ -424,8 +426,8 @@ def with_method(record: Scheme, method: str | None, tolerance: float | None) -> 
         return flow
     if given != {"method": None, "tolerance": None} and record != flow:
         raise ValueError(
-            f"method = {method!r}, tolerance = {tolerance!r}: the scheme has a method and a "
-            "tolerance of its own; remove them, or pass scheme='reference'"
+            f"method = {method!r}, tolerance = {tolerance!r}: the scheme already has a method "
+            "and a tolerance; remove them, or pass scheme='reference'"
         )
     return record
 
@@ -436,9 +438,9 @@ def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
     memory = available_memory() if size > 2**24 else sys.maxsize  # which takes a while to ask
     if size > memory:
         raise MemoryError(
-            f"steps = {steps} with stride = {stride} are {rows + 1} stored states, {size} bytes "
-            f"({size / 2**30:.4g} GiB); this machine has {memory / 2**30:.4g} GiB: store fewer "
-            "with a larger stride"
+            f"steps = {steps} with stride = {stride} stores {rows + 1} states, {size} bytes "
+            f"({size / 2**30:.4g} GiB), and this machine has {memory / 2**30:.4g} GiB: use a "
+            "larger stride"
         )
 
 
@@ -456,7 +458,9 @@ def _times(given: ArrayLike, steps: Steps) -> Array:
     outside = (ahead * (times - t0) < 0) | (ahead * (times - end) > 4e-16 * abs(end))
     if outside.any():
         t = float(times[outside][0])
-        raise ValueError(f"t_eval: {t!r} lies outside of the run, from {t0!r} to {end!r}")
+        raise ValueError(
+            f"t_eval contains {t!r}: expected times of the run, from {t0!r} to {end!r}"
+        )
     if not in_order:
         raise ValueError("t_eval: expected times in the order of the run")
     return times
@@ -505,7 +509,7 @@ def doubt_start(system: System, x: Array, t: float, consistency: int = lib.DAL_C
     n = system.n
     if off := system.off_positions(x[:n], t):
         _say(
-            f"q0 is off a position constraint, and the motion stays off it: {off}; change q0, or "
+            f"q0 violates a position constraint, and so will the motion: {off}; change q0, or "
             "pass consistent='assume'", 4,
         )  # fmt: skip
     for i in np.flatnonzero(abs(x[:n]) > LARGE):
@@ -516,9 +520,9 @@ def doubt_start(system: System, x: Array, t: float, consistency: int = lib.DAL_C
             here, there = geometry.acceleration(system, states[:, :n], states[:, n:], t)
             if abs(there - here).max() > COARSE * abs(np.array([here, there])).max():
                 _say(
-                    f"q0[{i}] = {x[i]:g} is too large: the next double is {np.spacing(x[i]):g} "
-                    "away, and the acceleration there is another. Subtract whole turns from an "
-                    "angle, or move the origin of a length", 4,
+                    f"q0[{i}] = {x[i]:g} is too large: the next double is "
+                    f"{np.spacing(x[i]):g} away, and the acceleration there differs. Subtract "
+                    "whole turns from an angle, or move the origin of a length", 4,
                 )  # fmt: skip
 
 
@@ -527,8 +531,9 @@ def _warn_of_drift(solution: Solution) -> None:
     system, q, t = solution.system, solution.q, solution.t
     if not system.off_positions(q[0], t[0]) and (off := system.off_positions(q[-1], t[-1])):
         _say(
-            f"the run has drifted off a position constraint: {off}; each step keeps its time "
-            f"derivative only ({solution._how}): take shorter steps, or a scheme of higher order",
+            f"the run has drifted off a position constraint: {off}; the steps "
+            f"({solution._how}) satisfy only its time derivative. Take shorter steps, or a "
+            "scheme of higher order",
             5,
         )
 
@@ -575,53 +580,54 @@ def doubts(solution: Any) -> Iterator[str]:
     bound = core.residual_bound(system.n)
     if stats.worst_residual > bound:
         yield (
-            f"the constraint is kept to {stats.worst_residual:.1e} only, not to {bound:.1e}: the "
-            "kept nodes lie so far out that their rounding moves it by more"
+            f"the relative residual of the constraint is {stats.worst_residual:.1e}, more "
+            f"than {bound:.1e}, because the kept nodes are so far from the origin that "
+            "rounding dominates"
         )
     if stats.whole and stats.error > LARGE_ERROR:
         how = solution._how
         size = f"about {100 * stats.error:.0f} % of its size"
         about = size if stats.error < 1.0 else "larger than its size"
         yield (
-            f"h may be too large ({how}): steps of h / 2, which would show it, cannot be made"
+            f"h may be too large ({how}): its error is unknown, because a run with h / 2 failed"
             if np.isinf(stats.error)
-            else f"h is too large ({how}): the error of the last state is {about}, as stats.error "
-            "says. Try h / 2. For statistics of a chaotic motion, whose error is always large, "
-            "turn this estimate off by check_h=False"
+            else f"h is too large ({how}): the estimated error of the last state is {about} "
+            "(stats.error). Try h / 2. For statistics of a chaotic motion, whose error is "
+            "always large, turn this estimate off with check_h=False"
         )
     elif stats.jump_step:
         changed = "would have changed" if stats.scaled else "has changed"
         yield (
-            f"the energy {changed} by {stats.jump:.3g} at step {stats.jump_step}"
-            f"{_at(solution)}, where the largest kinetic energy is {stats.largest_kinetic:.3g}: "
-            "nothing does work on this system, so the steps are too long, or gradient is not that "
-            "of potential: see check()"
+            f"the energy {changed} by {stats.jump:.3g} at step "
+            f"{stats.jump_step}{_at(solution)}, and the largest kinetic energy is "
+            f"{stats.largest_kinetic:.3g}. Nothing does work on this system, so the steps are "
+            "too long, or gradient does not belong to potential: see check()"
         )
     if stats.unscaled:
         yield (
-            f"the energy was not kept in {stats.unscaled} of {stats.steps} steps: there velocities "
-            "would have had to change by more than half; they are plain steps of the scheme, and "
-            "a smaller h makes them rarer"
+            f"the energy was not kept in {stats.unscaled} of {stats.steps} steps, because the "
+            "velocity would have changed by more than half. These are plain steps of the "
+            "scheme; a smaller h makes them rarer"
         )
     if stats.uncontrolled > 0.05 * stats.steps:
         yield (
-            f"{stats.uncontrolled} of {stats.steps} steps are longer than the tolerance allows "
-            f"({solution._how}): the estimate of their error is roundoff there, so that the error "
-            "is that of a larger tolerance; another scheme may see more"
+            f"{stats.uncontrolled} of {stats.steps} steps have a larger error than the "
+            f"tolerance allows ({solution._how}), because roundoff hides their estimated "
+            "error; take a larger tolerance, or try another scheme"
         )
     if solution.control.get("h") == "reversible" and (drift := _drift(solution)) > DRIFT:
         yield (
-            f"the energy has changed by {drift:.1e} of the largest kinetic energy: steps were not "
-            f"reversible ({stats.resets} of {stats.steps}, and those of first encounters; "
-            f"{solution._how}), where the rate of the motion changed too fast for them; take a "
-            "smaller eps, or h='auto'"
+            f"the energy has changed by {drift:.1e} of the largest kinetic energy. Some steps "
+            f"were not reversible ({stats.resets} of {stats.steps}, and those of first "
+            f"encounters; {solution._how}), because the rate of the motion changed too fast; "
+            "take a smaller eps, or h='auto'"
         )
     simple = system.has_constant_mass and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:
         yield (
-            f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
-            "as the simpler one did not converge: the steps are long for this system "
-            f"({solution._how}), or its constraints are nearly dependent"
+            f"{stats.full_newtons} of {stats.substeps} sub-steps needed the full Newton "
+            "iteration, because the simpler one did not converge. The steps are long for this "
+            f"system ({solution._how}), or its constraints are nearly dependent"
         )
     if stats.rank_doubts:
         yield rank_doubt(stats)

@@ -79,30 +79,33 @@ def require_same(system: System | None, about: Mapping[str, Any], path: str) -> 
         system = systems.get(name, **parameters)
     if system is None:
         raise ValueError(
-            f"system: needed, {path} is of one that does not come with the library, {name!r} "
-            f"({', '.join(about['coordinates'])}); on the command line, MODEL: FILE.py:NAME"
+            f"system is missing: {path} belongs to {name!r} "
+            f"({', '.join(about['coordinates'])}), which is not a built-in system; pass it, "
+            "on the command line as FILE.py:NAME"
         )
     core.require_system(system)
     if system.parameters != parameters and system.parameters.keys() == parameters.keys():
         other = {key: x for key, x in parameters.items() if system.parameters[key] != x}
         there = ", ".join(f"{key} = {x!r}" for key, x in other.items())
         here = ", ".join(f"{key} = {system.parameters[key]!r}" for key in other)
-        raise ValueError(f"system: {path} is of one with {there}, this has {here}")
+        raise ValueError(f"system: {path} belongs to one with {there}, but this one has {here}")
     if json.loads(json.dumps(system._identity)) != about["identity"]:
-        raise ValueError(f"system: {path} is of another one, {name!r}, than {system!r}")
+        raise ValueError(f"system: {path} belongs to another system, {name!r}, not to {system!r}")
     field, x = about["field"], np.array(about["state"])
     if field is not None:
         expected = np.array(field)
         found = geometry.field(system, *np.split(x, 2), t=about["t"])
         if not abs(found - expected).max() <= _CLOSE * abs(expected).max():
             raise ValueError(
-                f"system: {path} is of another one: at its first state the field was {expected}, "
-                f"and is {found} now"
+                f"system: {path} belongs to another system: at its first state the field was "
+                f"{expected}, but here it is {found}"
             )
     units = about.get("units", {}) | system.units
     for name, unit in about.get("units", {}).items():
         if units[name] != unit:
-            raise ValueError(f"system: {path} has {name} in {unit}, this one in {units[name]}")
+            raise ValueError(
+                f"system: {path} has {name} in {unit}, but this system has it in {units[name]}"
+            )
     return system if units == system.units else system.with_units(**units)
 
 
@@ -138,7 +141,7 @@ class Journal:
             self.about["system"]["identity"]
         except (ValueError, KeyError, TypeError):
             raise ValueError(
-                f"{path}: the journal of a C program, which does not say what system it is of"
+                f"{path}: the journal was written by a C program, and does not contain its system"
             ) from None
 
     @classmethod
@@ -172,8 +175,8 @@ class Journal:
         journal = cls(os.fsdecode(name), handle, bool(goes_on))
         if journal.info.cut and not journal.info.is_written:
             warnings.warn(
-                f"{name}: its last {journal.info.cut} bytes are no whole record, as a run leaves "
-                "that was killed, or damaged; they are left out",
+                f"{name}: the last {journal.info.cut} bytes are not a complete record, "
+                "because the run was killed or the file is damaged; they are ignored",
                 DalembertWarning, stacklevel=3,
             )  # fmt: skip
         return journal
@@ -188,7 +191,10 @@ class Journal:
             return Scheme.of(given)
         if self.about["scheme"] is None:
             name = core.string(self.info.scheme)
-            raise ValueError(f"scheme: needed, that of {self.path}, {name!r}, is made of functions")
+            raise ValueError(
+                f"scheme is missing: the scheme of {self.path}, {name!r}, is made of "
+                "functions; pass it"
+            )
         return Scheme._from_data(self.about["scheme"])
 
     def require_law(self, system: System, inputs: Inputs) -> None:
@@ -198,8 +204,8 @@ class Journal:
         if (there and there["key"]) == (here and here["key"]) or inputs is None:
             return
         raise ValueError(
-            f"inputs: the run of {self.path} has {_shown(there)}, and these are {_shown(here)}; "
-            "expected the same"
+            f"inputs: the run of {self.path} has {_shown(there)}, but these are "
+            f"{_shown(here)}; expected the same"
         )
 
     def times(self) -> Array | None:
@@ -234,7 +240,7 @@ class Journal:
         if self._tells and error.status == lib.DAL_EIO:
             self._tells = False
             warnings.warn(
-                f"the run goes on without its journal: {core.words(error)}", DalembertWarning,
+                f"the run continues without its journal: {core.words(error)}", DalembertWarning,
                 stacklevel=5,
             )  # fmt: skip
 

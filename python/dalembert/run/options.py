@@ -56,7 +56,7 @@ def kind_of(scheme: Scheme, word: str | None = None, method: Any = None) -> str:
     """Return the kind of a run by a scheme; raise ValueError if the word for h is unknown."""
     if word is not None and (scheme.is_reference or scheme.nodes == "kept"):
         flow = scheme.is_reference
-        why = "chooses its own steps" if flow else "has kept nodes: D_eps depends on h"
+        why = "chooses its own step sizes" if flow else "has kept nodes, whose D_eps depends on h"
         raise ValueError(
             f"h = {word!r} with the scheme {scheme.name!r}, which {why}; expected a number"
         )
@@ -87,13 +87,13 @@ def require(kind: str, **given: Any) -> None:
         return
     if "observer" in there and kind == "series":
         raise ValueError(
-            "observer and t_eval: expected one of the two with method = 'taylor'; the methods "
-            "rk8pd, msadams and rodas take both"
+            "observer and t_eval are both given: expected one of the two with method = "
+            "'taylor'; the methods rk8pd, msadams and rodas support both"
         )
     if "stride" in there and "observer" not in there:
         raise ValueError(
-            f"stride = {arguments.shown(given['stride'])} has no effect with t_eval, which says "
-            "when states are stored: remove one of the two"
+            f"stride = {arguments.shown(given['stride'])} has no effect with t_eval, which "
+            "sets the stored times: remove one of the two"
         )
 
 

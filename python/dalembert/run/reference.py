@@ -107,7 +107,10 @@ def reference(
     coordinate = arguments.choice(coordinates, "coordinates", COORDINATES)
     acting = arguments.inputs(inputs, system.inputs, 1)[0].copy()
     if method == "taylor" and inputs is not None:
-        raise ValueError(f"inputs = {arguments.shown(inputs)}: method='taylor' takes none")
+        raise ValueError(
+            f"inputs = {arguments.shown(inputs)}: method='taylor' does not support inputs; "
+            "remove them, or choose another method"
+        )
     if method == "taylor":
         require_supported(system, coordinates=None if coordinates == "x" else coordinates)
         x = consistent_state(system, x0, t0, consistency)

@@ -165,8 +165,8 @@ class Run:
         size = 8 * rows * (2 * self.system.n + self.system.m + 1)
         if size > 2**24 and size > available_memory():
             raise MemoryError(
-                f"{rows} stored states are {size} bytes, more than this machine has left: "
-                "store fewer with a larger stride, or with t_eval"
+                f"{rows} stored states need {size} bytes, more than this machine has left: "
+                "use a larger stride, or t_eval"
             )
         self._allocate(rows, (self.x, self.reactions, self.times))
 
@@ -340,7 +340,7 @@ def _end(x: Array, n: int, shift: float) -> Array:
 def one_row(value: Any, names: tuple[str, ...]) -> Array:
     """Return inputs as an array of k numbers; a single input may be given as a number."""
     if value is None:
-        raise ValueError(f"inputs has to return shape ({len(names)},), it returned None")
+        raise ValueError(f"inputs returned None: expected shape ({len(names)},)")
     return arguments.inputs(value, names, 1)[0]
 
 
@@ -371,5 +371,5 @@ def _input_buffer(
     if not is_control(given):
         return arguments.inputs(given, system.inputs, holds)
     if not system.inputs:
-        raise ValueError("inputs: the system takes no inputs")
+        raise ValueError("inputs: the system has no inputs; remove it")
     return np.zeros((holds, len(system.inputs)))

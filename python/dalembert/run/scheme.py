@@ -81,8 +81,8 @@ class Scheme:
             raise ValueError(f"name = {self.name!r}: expected 1 to 39 bytes, got {len(name)}")
         if isinstance(self.substeps, str):
             raise ValueError(
-                f"substeps = {self.substeps!r}: expected several (beta, fraction); Scheme.find "
-                "has the schemes with a name"
+                f"substeps = {self.substeps!r}: expected several pairs (beta, fraction); for "
+                "a named scheme, use Scheme.find"
             )
         if isinstance(self.substeps, (list, tuple)) and len(self.substeps) == 0:
             raise ValueError("substeps is empty: expected at least one (beta, fraction)")
@@ -232,7 +232,8 @@ class Scheme:
             beta = float(value)
         except (TypeError, ValueError, OverflowError):
             raise ValueError(
-                f"scheme = {arguments.shown(value)}: expected a Scheme, the name of one, or beta"
+                f"scheme = {arguments.shown(value)}: expected a Scheme, the name of a scheme, "
+                "or a number beta"
             ) from None
         if not 0.0 <= beta <= 1.0:
             raise ValueError(f"scheme = {arguments.shown(value)}: expected beta in [0, 1]")
@@ -306,8 +307,8 @@ class Scheme:
         """Return the ``dal_scheme`` for a system, and the objects to keep alive."""
         if self.is_series:
             raise NotImplementedError(
-                "method = 'taylor' is of integrate and reference alone; here the reference flow "
-                "has the methods rk8pd, msadams and rodas"
+                "method = 'taylor' is available only in integrate and reference; here choose "
+                "rk8pd, msadams or rodas"
             )
         if self._maps is None:
             return self._record, self
@@ -333,7 +334,10 @@ class Scheme:
         """
         shift = ffi.new("double *")
         status = lib.dal_scheme_shift(self._record, shift)
-        core.check(status, f"{self.name!r} has no single sub-step, and so no D_eps")
+        core.check(
+            status,
+            f"{self.name!r} has several sub-steps, and so no D_eps; expected a scheme with one",
+        )
         return float(shift[0]) * arguments.number(h, "h")
 
     def _initial(self, name: str | None) -> int:
@@ -348,7 +352,7 @@ class Scheme:
             return int(lib.DAL_INITIAL_NONE)
         if name is None:
             raise ValueError(
-                f"initial: needed, because {self.name!r} has kept nodes: one of "
+                f"initial is missing: {self.name!r} has kept nodes, so choose one of "
                 f"{', '.join(map(repr, INITIAL))}"
             )
         return arguments.choice(name, "initial", INITIAL)

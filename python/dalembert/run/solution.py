@@ -146,10 +146,10 @@ def rank_doubt(stats: Any) -> str:
     """Return a message that says where the constraints nearly lose rank."""
     rows = [f"constraints[{a}]" for a in _rows_of(stats.least_pivot_rows)] or ["the constraints"]
     return (
-        f"near t = {stats.least_pivot_t:g} {' and '.join(rows)} nearly lost rank: the least pivot "
-        f"of mu M^-1 mu^T was {stats.least_pivot:.1e} of its usual size. If branches of the motion "
-        "meet there, as at a dead centre, the errors of the steps decide which one is followed: "
-        "compare runs with other steps or tolerances"
+        f"near t = {stats.least_pivot_t:g} {' and '.join(rows)} nearly lost rank: the least "
+        f"pivot of mu M^-1 mu^T was {stats.least_pivot:.1e} of its usual size. If branches of "
+        "the motion meet there, as at a dead centre, the errors of the steps choose the "
+        "branch. Compare runs with other steps or tolerances"
     )
 
 
@@ -324,7 +324,9 @@ class Solution(Mapping[str, Any]):
             "inputs": arguments.array(inputs, "inputs", (None, width)),
         }  # fmt: skip
         if self.control and self.times is None:
-            raise ValueError("times: needed where each step has its own size")
+            raise ValueError(
+                "times is missing: the steps differ in size, so pass the times of the states"
+            )
         if self.times is not None:
             arrays["times"] = arguments.array(self.times, "times", (len(x),))
         for name, array in arrays.items():
@@ -552,7 +554,9 @@ class Solution(Mapping[str, Any]):
         if self.times is not None:
             grid = self.t0 + np.arange(count) * h
             if not np.array_equal(self.times[:-1], grid[:-1]):
-                raise ValueError("t: the states are those of t_eval, between which none are made")
+                raise ValueError(
+                    "t: expected times of t_eval, because no states are computed between them"
+                )
             count -= 1
         at = [x[~np.isnan(a).any(axis=1)] for x, a in zip(self.t_events, self.x_after)]
         place = np.sort(np.concatenate([*at, np.zeros(0)]) - self.t0) / h
@@ -573,8 +577,8 @@ class Solution(Mapping[str, Any]):
             yield count, 1, these
         if left.any():
             raise ValueError(
-                f"t = {t[left][0]:g}: between two states, and the state was reset there, or the "
-                "run ended; t_eval of integrate has states there"
+                f"t = {t[left][0]:g}: the state was reset, or the run ended, between the two "
+                "stored states; for states there, pass t_eval to integrate"
             )
 
     def _interpolate(self, flat: Array, first: int, rows: int) -> tuple[Array, int]:
@@ -642,11 +646,11 @@ class Solution(Mapping[str, Any]):
             size = f"{self.stats.worst_residual:.1e}"
             lines.append(f"  constraint{where}: relative residual at most {size}")
         if np.isinf(self.stats.error):
-            lines.append("  error of the last state: unknown, h / 2 cannot be tried")
+            lines.append("  error of the last state: unknown, because a run with h / 2 failed")
         elif self.stats.error >= 0.0:
             about = "about" if self.stats.whole else "at most about"
             lines.append(f"  error of the last state: {about} {self.stats.error:.0e} of its size")
         if self.stats.scaled or self.stats.unscaled:
-            lost = f", but for {self.stats.unscaled} of {self.stats.steps} steps"
+            lost = f", except in {self.stats.unscaled} of {self.stats.steps} steps"
             lines.append(f"  energy kept{lost if self.stats.unscaled else ''}")
         return "\n".join([*lines, f"  {self.message}>"])

@@ -78,7 +78,9 @@ class Stepper:
         self.scheme = Scheme.usual(system) if scheme is None else Scheme.of(scheme)
         self._t0 = arguments.number(t0, "t0")
         if isinstance(h, str):
-            raise ValueError(f"h = {h!r}: a Stepper has steps of one size, expected a number")
+            raise ValueError(
+                f"h = {h!r}: expected a number, because a Stepper has steps of fixed size"
+            )
         step = arguments.step_size(h, self._t0)
         require(
             kind_of(self.scheme), initial=initial, max_iterations=max_iterations, energy=energy

@@ -49,7 +49,7 @@ class Steps:
             count = number_of_steps(t0, h, t_end, steps)
             return cls(t0, t0 + count * h, h, count, {})
         if t_end is None:
-            raise ValueError(f"t_end: needed with h = {h!r}, the number of steps is not known")
+            raise ValueError(f"t_end is missing: with h = {h!r} the number of steps is not known")
         control: dict[str, Any] = {"h": h}
         if h == "auto":
             control["tolerance"] = TOLERANCE if tolerance is None else tolerance
@@ -100,8 +100,8 @@ class Steps:
             return 1 if given is None else arguments.integer(given, "hold", 1)
         if given is None and is_control(inputs):
             raise ValueError(
-                f"hold: needed with h = {self.control['h']!r}, for how long the inputs are what "
-                "the controller returned"
+                f"hold is missing: with h = {self.control['h']!r} give the time for which the "
+                "inputs that the controller returns apply"
             )
         if given is None:
             return abs(self.t_end - self.t0) or 1.0
@@ -161,7 +161,9 @@ def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None)
     t_end = arguments.number(t_end, "t_end")
     ratio = (t_end - t0) / h
     if ratio < 0.0:
-        raise ValueError(f"t_end = {t_end:g} lies before t0 = {t0:g} in the direction of h = {h:g}")
+        raise ValueError(
+            f"t_end = {t_end:g}: expected a time after t0 = {t0:g} in the direction of h = {h:g}"
+        )
     if not ratio < 2**63:
         raise ValueError(f"h = {h:g} is too small for t_end - t0 = {t_end - t0:g}")
     arguments.step_size(h, t_end)
@@ -171,7 +173,8 @@ def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None)
         few, many = math.floor(ratio), math.ceil(ratio)
         sizes = [f"{(t_end - t0) / k!r}" for k in (many, few) if k > 0]
         raise ValueError(
-            f"t_end = {t_end!r} is {ratio:.10g} steps of h = {h!r} from t0 = {t0!r}: take "
-            f"t_end = {t0 + few * h!r} or {t0 + many * h!r}, or h = {' or '.join(sizes)}"
+            f"t_end = {t_end!r} is {ratio:.10g} steps of h = {h!r} from t0 = {t0!r}: expected "
+            f"a whole number; take t_end = {t0 + few * h!r} or {t0 + many * h!r}, or h = "
+            f"{' or '.join(sizes)}"
         )
     return steps

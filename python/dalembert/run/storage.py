@@ -150,10 +150,10 @@ def load(
         arrays["x"], about["system"]
     except (KeyError, TypeError, json.JSONDecodeError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(
-            f"{target}: neither the journal of a run nor what a run has saved, or it is damaged"
+            f"{target}: expected the journal of a run or a saved run, or the file is damaged"
         ) from error
     if scheme is None and about["scheme"] is None:
-        raise ValueError(f"scheme: needed, that of {target} is made of functions")
+        raise ValueError(f"scheme is missing: the scheme of {target} is made of functions; pass it")
     found = require_same(system, about["system"], str(target))
     return _unpack(about, arrays, found, scheme or Scheme._from_data(about["scheme"]))
 

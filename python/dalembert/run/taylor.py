@@ -117,8 +117,9 @@ class _Series:
         size = np.abs(rate).max() + np.abs(slope).max()
         if not np.abs(slope - rate).max() <= max(1e-6, self.tolerance**0.5) * size:
             yield DomainError(
-                f"method = 'taylor': between t = {t!r} and {float(flow.time)!r} the motion passes "
-                "a point where it has no Taylor series, as where a root is 0"
+                f"method = 'taylor': between t = {t!r} and {float(flow.time)!r} the motion "
+                "passes a point where it has no Taylor series, for example a zero of a root; "
+                "choose another method"
             )  # fmt: skip
 
 
@@ -148,8 +149,8 @@ def _level(tolerance: float, x: Array) -> float:
     size = float(np.abs(x).max())
     if size > LARGEST:
         raise DomainError(
-            f"method = 'taylor': a state has numbers up to {size:g}; expected at most {LARGEST:g}, "
-            "since the tolerance of a series is relative to the largest of them"
+            f"method = 'taylor': a state has numbers up to {size:g}; expected at most "
+            f"{LARGEST:g}, because the tolerance of a series is relative to the largest"
         )
     excess = size / LARGE
     return tolerance / RATIO ** max(0, math.ceil(math.log(max(excess, 1.0), RATIO)))
@@ -197,13 +198,13 @@ def require_supported(system: System, **given: Any) -> None:
     """
     if system._model is None:
         raise ValueError(
-            f"method = 'taylor': the system {system.name!r} is not from expressions; expected one "
-            "of System.from_sympy, whose L and constraints can be differentiated"
+            f"method = 'taylor': the system {system.name!r} has no expressions to "
+            "differentiate; expected a system from System.from_sympy"
         )
     for name, value in given.items():
         if value is not None and not (isinstance(value, (list, tuple)) and len(value) == 0):
             raise NotImplementedError(
-                f"{name}: not with method = 'taylor'; the methods rk8pd, msadams and rodas take it"
+                f"{name}: not supported by method = 'taylor'; choose rk8pd, msadams or rodas"
             )
 
 

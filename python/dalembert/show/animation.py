@@ -87,7 +87,7 @@ class Animation:
         t = arguments.number(t, "t")
         first, last = sorted(self.run.t[[0, -1]].tolist())
         if not first <= t <= last:
-            raise ValueError(f"t = {t:g}: expected a time of the run, {first:g} to {last:g}")
+            raise ValueError(f"t = {t:g}: expected a time of the run, from {first:g} to {last:g}")
         t, shapes = self._scene.shapes(t)
         forward = 1 if self.run.t[-1] >= self.run.t[0] else -1
         past = int(np.searchsorted(forward * self.t, forward * t, side="right")) - 1
@@ -176,7 +176,9 @@ class Animation:
 
     def _gif(self, show: extras.Show) -> bytes:
         if not 0.002 <= self.fps <= 50:
-            raise ValueError(f"fps = {self.fps:g}: a GIF has 0.002 to 50 frames a second")
+            raise ValueError(
+                f"fps = {self.fps:g}: expected 0.002 to 50 frames per second for a GIF"
+            )
         image = extras.require("PIL.Image", "a GIF")
         pixels = [x[:, :, :3] for x in self._pixels(show)]
         # One palette for all, of the frames at both ends and in the middle: the colours of lines
@@ -202,8 +204,8 @@ class Animation:
         ffmpeg = shutil.which("ffmpeg")
         if ffmpeg is None:
             raise RuntimeError(
-                "a file .mp4 needs the program ffmpeg: apt install ffmpeg, or what installs it on "
-                "your system; .gif and .html need nothing else"
+                "path: an .mp4 file needs the program ffmpeg. Install it (apt install "
+                "ffmpeg), or write a .gif or .html file, which need nothing else"
             )
         with tempfile.TemporaryDirectory() as folder:
             film = Path(folder, "film.mp4")
@@ -240,8 +242,8 @@ class Animation:
         page = film_page.frame(self._scene, self.fps, self._trail)
         if len(page) > NOTEBOOK:
             return (
-                f"<p>{html.escape(repr(self))}: its page has {len(page) / 1e6:.0f} MB, too much "
-                "for a notebook; <code>.save('film.html')</code> writes it.</p>"
+                f"<p>{html.escape(repr(self))}: the page has {len(page) / 1e6:.0f} MB, too "
+                "much for a notebook; <code>.save('film.html')</code> writes it to a file.</p>"
             )
         return str(page)
 

@@ -79,7 +79,7 @@ def values_of(found: Ensemble, name: str) -> Array:
     arguments.choice(name, "what", dict.fromkeys((*found, *places), 0))
     values = np.asarray(found[name])
     if values.ndim > 1 + (found.stride > 0 and name != "happened"):
-        raise ValueError(f"what = {name!r}: expected one number of each member, it has more")
+        raise ValueError(f"what = {name!r}: expected a quantity with one number for each member")
     return values
 
 
@@ -121,7 +121,7 @@ def _map(found: Ensemble, what: str, ax: Axes) -> None:
     if whole:
         events = [f"event {k}" for k in range(colors.N - 1)]
         bar.set_ticks(range(-1, colors.N - 1), labels=["none", *events])
-        bar.set_label("what ended the run")
+        bar.set_label("event that ended the run")
     else:
         bar.set_label(_label(found, what, " at the end"))
     ax.set(xlabel=_label(found, found.axes[0]), ylabel=_label(found, found.axes[1]))

@@ -25,7 +25,7 @@ def html(scene: Scene, fps: float, trail: bool) -> str:
     run = scene.run
     about = f"{run.scheme.name}, {run._how}: {len(scene.t)} frames of {len(run.t)} states"
     if not run.success:
-        about += f"; it broke off: {run.message}"
+        about += f"; it ended early: {run.message}"
     data = _data(scene, fps, trail)
     return str(web.render("film.html", title=run.system.name, about=about, data=data))
 

@@ -73,7 +73,7 @@ def run(self: Solution) -> str | None:
     title = f"{self.system.name}: {'a run' if self.success else 'a run that failed'}"
     sections = [
         (title, "", web.side_by_side([_facts(rows).html(), *_picture(self)])),
-        ("What it has cost", "", [("", "", Table(["", ""], cost, 1))]),
+        ("Cost of the run", "", [("", "", Table(["", ""], cost, 1))]),
     ]
     return web.notebook(sections)
 
@@ -103,7 +103,7 @@ def _energy(self: Solution) -> str:
     """Return the energy at the start, and its change until the end, in words."""
     x, n = np.asarray(self.x[[0, -1]]), self.system.n
     first, last = geometry.energy(self.system, x[:, :n], x[:, n:], self.t[[0, -1]])
-    free = "" if self.system.conserves_energy else ", where it is no first integral"
+    free = "" if self.system.conserves_energy else ", where it is not conserved"
     unit = panels.unit(self.system, "energy")
     return f"{first:.6g}{unit} at the start, {last - first:+.1e}{unit} at the end{free}"
 

@@ -88,9 +88,11 @@ def write(
         raise ValueError("chosen is empty; expected at least one system")
     name, count = collections.Counter(names).most_common(1)[0]
     if count > 1:
-        raise ValueError(f"chosen: {name} is there {count} times")
+        raise ValueError(f"chosen: {name} occurs {count} times; expected different systems")
     if "index" in names:
-        raise ValueError("chosen: a system is called index, as the list of all pages is")
+        raise ValueError(
+            "chosen: the name index is reserved for the list of all pages; rename the system"
+        )
     for x, name in zip(found, names):
         if isinstance(x, System):
             _require_start(x)
@@ -159,7 +161,9 @@ def page(system: System) -> str:
 
 def _require_start(system: System) -> None:
     if system.q0 is None:
-        raise ValueError(f"the system {system.name!r} has no initial data, which its page needs")
+        raise ValueError(
+            f"the system {system.name!r} has no default initial data, which its page needs"
+        )
 
 
 def _slug(system: System) -> str:
@@ -169,9 +173,9 @@ def _slug(system: System) -> str:
 
 def _index(cards: Sequence[tuple[str, System, web.HTML]]) -> str:
     words = (
-        f"Mechanical systems with velocity constraints, {len(cards)} of them. Each page has the "
-        "formulas, initial data, invariants, what is known of the solution, and the lines of "
-        "Python and C that make the system and run it."
+        f"{len(cards)} mechanical systems with velocity constraints. Each page has the "
+        "formulas, initial data, invariants, the exact or a reference solution, and the code "
+        "in Python and C."
     )
     sections = [("", words, web.render("cards.html", cards=cards))]
     return web.page("Catalogue of systems", f"dalembert {core.version()}", sections)
@@ -198,7 +202,7 @@ def _page(system: System, run: Solution, names: Sequence[str]) -> str:
 def _sections(system: System, run: Solution) -> Iterator[web.Section]:
     runs = (run, web.run(system, FINE, h=FINE_STEP, t_end=END))
     unit = panels.unit(system, "t")
-    broken = "" if run.success else f" It broke off at t = {run.t[-1]:g}{unit}: {run.message}."
+    broken = "" if run.success else f" It ended early at t = {run.t[-1]:g}{unit}: {run.message}."
     caption = f"A typical run: {SCHEME} with h = {STEP:g}{unit} to t = {END}{unit}.{broken}"
     caption += "".join(f" Doubtful: {x}." for x in doubts(run))
     path = panels.motion(run, f"run-{_slug(system)}", caption)
@@ -214,7 +218,7 @@ def _sections(system: System, run: Solution) -> Iterator[web.Section]:
     yield invariants, words, [("", "", table)]
     for title, words, table in (*_known(system), *_accuracy(system, runs)):
         yield title, words, [("", "", table)]
-    yield "How to make it", "" if system._source.of_library else web.OF_THE_USER, ""
+    yield "How to create it", "" if system._source.of_library else web.OF_THE_USER, ""
     if system._source.of_library:
         yield from _programs(system, run)
 
@@ -224,7 +228,7 @@ def _pictures(system: System, run: Solution) -> Iterator[web.HTML]:
     slug, styles = _slug(system), plot.styles([run.scheme.name])
     drift = "The error of the energy."
     if not system.conserves_energy:
-        drift = "The change of the energy, which is no error here."
+        drift = "The change of the energy, which is not conserved here."
     words = "The relative residual of the constraints; the dashed line is the unit roundoff u."
     below = panels.energies([run], f"energy-{slug}", styles, drift)
     for kept in panels.residuals([run], f"residual-{slug}", styles, [words]):
@@ -261,7 +265,7 @@ def _facts(system: System) -> list[tuple[str, str]]:
         rows.append(("force", "besides that of the Lagrangian"))
     if system.m and system.kind == "linear" and not system.is_driven:
         curved = (
-            "integrable: a holonomic constraint in disguise"
+            "integrable: the constraint may be holonomic"
             if found.integrable
             else f"not integrable: curvature {found.curvature:.3g} at the start"
         )
@@ -311,7 +315,7 @@ def _invariants(system: System, runs: Sequence[Solution]) -> web.Section:
         why = "there is a force" if system.is_forced else "the constraints do work"
         why = "inputs drive the constraints" if system.is_driven else why
         why = "the system depends on time" if system.is_time_dependent else why
-        words += f" The energy is not among them: {why}."
+        words += f" The energy is not conserved: {why}."
     drifts = [f"drift of {SCHEME}, h = {STEP:g}", f"of {FINE}, h = {FINE_STEP:g}"]
     return "Invariants", words, Table(["invariant", "at the start", *drifts], rows)
 
@@ -350,8 +354,8 @@ def _known(system: System) -> Iterator[web.Section]:
         titles = ["", *(f"t = {x.t:g}" for x in states)]
         yield (
             "Reference to 30 digits",
-            "From the initial data, with parameters and data that are decimals exactly; computed "
-            "by Taylor series and by extrapolation, which agree to these digits.",
+            "Starts from the initial data. Parameters and data are exact decimals. Taylor "
+            "series and extrapolation agree to the digits shown.",
             Table(titles, rows, len(titles), style="digits"),
         )
 
@@ -371,7 +375,7 @@ def _accuracy(system: System, runs: Sequence[Solution]) -> Iterator[web.Section]
     if rows:
         words = "There is an exact solution for all initial data: `system.exact(t)`."
         titles = ["largest difference of (q, v)", *(f"t = {t:g}" for t in TIMES)]
-        yield "How accurate it is", words if system.has_exact else "", Table(titles, rows)
+        yield "Accuracy", words if system.has_exact else "", Table(titles, rows)
 
 
 def _distance(run: Solution, at: Callable[[float], Any], t: float) -> str:

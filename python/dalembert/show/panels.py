@@ -56,7 +56,7 @@ def _made_of(system: System) -> str:
     names = ", ".join(system.coordinates[:COORDINATES]) + ", ..." * (system.n > COORDINATES)
     count = f"{system.m} {system.kind} constraint{'s' * (system.m > 1)}" if system.m else "none"
     return (
-        f"No formulas are known: the system is made of {parts}. Coordinates: {names}; "
+        f"The system has no formulas, because it is defined by {parts}. Coordinates: {names}; "
         f"constraints: {count}."
     )
 
@@ -200,7 +200,7 @@ def _falls(study: Study) -> str:
     who, drawn, fit = study.scheme.name, np.isfinite(study.state_error), study.fits["global_state"]
     h, error = np.abs(study.h[drawn]), study.state_error[drawn]
     if len(h) == 0:
-        return f"{who} has no errors that are known"
+        return f"{who} has no known errors"
     if fit.exact:
         return f"{who} is exact to roundoff, {number(float(error.max()))} at most"
     clear = np.array(fit.counted)[drawn]

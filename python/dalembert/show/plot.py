@@ -116,7 +116,7 @@ def convergence(
     'log'
     """
     if quantity not in QUANTITIES:
-        raise ValueError(f"quantity is {quantity!r}; expected one of {', '.join(QUANTITIES)}")
+        raise ValueError(f"quantity = {quantity!r}: expected one of {', '.join(QUANTITIES)}")
     name, key, loss, words, of = QUANTITIES[quantity]
     studies = several(study, "study", Study)
     ax = axes_for(ax)
@@ -192,7 +192,7 @@ def drift(
         ax = _subplots(1, 2, sharey=True, figsize=(9, 3.8))
     axes = np.asarray(ax, dtype=object).ravel()
     if len(axes) != 2:
-        raise ValueError(f"ax has {len(axes)} axes; expected two, for D and for D_eps")
+        raise ValueError(f"ax has {len(axes)} axes: expected two, for D and for D_eps")
     axes = np.array([axes_for(axis) for axis in axes])
     styles = _styles(solutions, styles)
     for run in solutions:
@@ -305,7 +305,7 @@ def path(
     except (TypeError, ValueError):
         i = j = -1
     if not (0 <= i < n and 0 <= j < n):
-        raise ValueError(f"coordinates is {coordinates!r}; expected two of 0 to {n - 1}")
+        raise ValueError(f"coordinates = {coordinates!r}: expected two of 0 to {n - 1}")
     ax = axes_for(ax)
     first, second = solution.q[:, i], solution.q[:, j]
     ax.plot(first, second, color=COLOURS[0])
@@ -359,7 +359,7 @@ def perturbation(
     ax = axes_for(ax)
     steps = [embedding.h / 2**k for k in range(3)] if hs is None else list(hs)
     if not steps:
-        raise ValueError("hs is empty; expected at least one step")
+        raise ValueError("hs is empty: expected at least one step")
     found = [embedding.with_step(h) for h in steps]
     taus = np.arange(1, 200) / 200
     for one, style in zip(found, styles(map(str, found)).values()):
@@ -471,7 +471,7 @@ def _time(items: Iterable[Any]) -> str:
 def several(item: Any, what: str, kind: type) -> list[Any]:
     items = list(item) if isinstance(item, Sequence) and not isinstance(item, str) else [item]
     if not items:
-        raise ValueError(f"{what} is empty; expected at least one")
+        raise ValueError(f"{what} is empty: expected at least one")
     for one in items:
         require_kind(one, what, kind, " or several")
     return items

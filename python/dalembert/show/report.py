@@ -67,7 +67,7 @@ def write(studies: Study | Studies | Sequence[Study], path: str | Path) -> Path:
     studies = Studies(plot.several(studies, "studies", Study))
     names = sorted({study.system.name for study in studies})
     if len(names) > 1:
-        raise ValueError(f"studies are on {', '.join(names)}; expected one system")
+        raise ValueError(f"studies are on {', '.join(names)}: expected one system")
     path = Path(path)
     files.require_writable(path)
     files.write(path, page(studies))
@@ -176,7 +176,7 @@ def _pictures(
     what = "error" if studies[0].system.conserves_energy else "change"
     energy = (
         f"The {what} of the energy over 400 steps of {_time(longest, abs(longest.h))}, each scheme "
-        f"on its own axis.{f' Runs that broke off: {short}.' if short else ''}"
+        f"on its own axis.{f' Runs that ended early: {short}.' if short else ''}"
     )
     return web.side_by_side(
         [

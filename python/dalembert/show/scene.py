@@ -175,13 +175,13 @@ def _drawn(body: Body, t: float, x: Array, m: int) -> list[Shape]:
     for shape in shapes:
         if not isinstance(shape, Shape):
             raise ValueError(
-                f"body returned {arguments.shown(shape)} in its list: expected shapes, as those of "
-                "dal.plot.bodies"
+                f"body returned {arguments.shown(shape)} in its list: expected shapes, for "
+                "example those of dal.plot.bodies"
             )
         if shape.constraints and max(shape.constraints) >= m:
             raise ValueError(
-                f"body: a {shape.role} has constraints = {shape.constraints}, the system has "
-                f"m = {m}, numbered from 0"
+                f"body: a {shape.role} has constraints = {shape.constraints}, but the system "
+                f"has m = {m} constraints, numbered from 0"
             )
     return shapes
 
@@ -200,7 +200,7 @@ def _columns(run: Solution, coordinates: Sequence[int] | None) -> tuple[int, ...
         found = ()
     if not 1 <= len(found) <= 3 or not all(0 <= k < n for k in found):
         raise ValueError(
-            f"coordinates is {arguments.shown(coordinates)}; expected up to three of 0 to {n - 1}"
+            f"coordinates = {arguments.shown(coordinates)}: expected up to three of 0 to {n - 1}"
         )
     return found
 
@@ -226,7 +226,7 @@ def make_scene(
     if body is None:
         body = bodies.point(run, columns)
     if scale is not None and arguments.number(scale, "scale") <= 0:
-        raise ValueError(f"scale = {scale:g}: expected units of force for one of length, > 0")
+        raise ValueError(f"scale = {scale:g}: expected a positive force for one unit of length")
     m = run.system.m
     if len(run.t) == 1:
         count = 1
@@ -235,7 +235,7 @@ def make_scene(
     asked = np.linspace(run.t[0], run.t[-1], (count - 1) * per_frame + 1)
     t, x = _states(run, asked)
     if not np.isfinite(x).all():
-        raise ValueError("run has states that are not finite, of which nothing can be drawn")
+        raise ValueError("run contains states that are not finite, which cannot be drawn")
     all_shapes = [_drawn(body, float(a), b, m) for a, b in zip(t, x)]
     frames = all_shapes[::per_frame]
     marks = [_contacts(s) or [dot for dot in s if dot.role == "dot"] for s in all_shapes]
@@ -249,7 +249,7 @@ def make_scene(
         frames = [[replace(s, points=_lifted(s.points)) for s in shapes] for shapes in frames]
         of_body = [_lifted(p) for p in of_body]
     if not of_body:
-        raise ValueError("body returned no shapes: there is nothing to draw")
+        raise ValueError("body returned no shapes: expected at least one")
     cloud = np.concatenate([*of_body, *trails])
     size = bodies.size(cloud)
     drawn: float | None = None

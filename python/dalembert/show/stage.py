@@ -105,7 +105,7 @@ def stage(scene: Scene, ax: Axes | None, *, shown: bool = False) -> Axes:
         limits = limits.mean(axis=0) + np.outer([-0.5, 0.5], box * (span / box).max())
     ax = axes_for(ax)
     if ax.name != "rectilinear":
-        raise ValueError(f"ax has the projection {ax.name!r}; expected axes of the plane")
+        raise ValueError(f"ax has the projection {ax.name!r}: expected plane axes")
     ax.set(xlim=limits[:, 0], ylim=limits[:, 1], autoscale_on=False)
     ax.set_aspect("equal", adjustable="box")
     ax.set_title(plain(scene.run.system.name), loc="left", fontsize="medium")

@@ -26,7 +26,9 @@ HTML = Any  # markupsafe.Markup: text that is not escaped again
 # which are folded; "" is left out.
 Section = tuple[str, str, Any]
 
-OF_THE_USER = "The system is one of the user's own: the program that made it belongs to this page."
+OF_THE_USER = (
+    "This is a user-defined system: to reproduce the page, the program that defines it is needed."
+)
 
 
 def require() -> None:

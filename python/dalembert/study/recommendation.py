@@ -165,12 +165,12 @@ def recommend(
     require_system(system)
     t0, t_end = arguments.number(t0, "t0"), arguments.number(t_end, "t_end")
     if t_end == t0:
-        raise ValueError(f"t_end = {t_end!r}: expected another time than t0 = {t0!r}")
+        raise ValueError(f"t_end = {t_end!r}: expected a time other than t0 = {t0!r}")
     accuracy = arguments.number(accuracy, "accuracy")
     if not LEAST <= accuracy <= MOST:
         raise ValueError(f"accuracy = {accuracy!r}: expected {LEAST:g} to {MOST:g}")
     if callable(inputs):
-        raise ValueError(f"inputs = {inputs!r}: expected numbers, held for the whole run")
+        raise ValueError(f"inputs = {inputs!r}: expected numbers, constant over the whole run")
     x0 = geometry.initial_state(system, q0, v0)
     with quietly():
         pilot = _Pilot(system, x0, t0, t_end, inputs)
@@ -179,8 +179,8 @@ def recommend(
     best = tried[0]
     if not best.error <= accuracy:
         raise ValueError(
-            f"accuracy = {accuracy:g}: nothing that was tried has it at t = {t_end:g}; the "
-            f"smallest error has {best.how}, {best.error:.0e}{pilot.doubt}"
+            f"accuracy = {accuracy:g}: no trial reached it at t = {t_end:g}; the smallest "
+            f"error is that of {best.how}, {best.error:.0e}{pilot.doubt}"
         )
     given = {"scheme": best.scheme, "h": best.h, "t_end": t_end, **_rows(best, t_end - t0)}
     if t0 != 0.0:
@@ -226,19 +226,19 @@ def _why(pilot: _Pilot, tried: list[Tried], accuracy: float) -> str:
     """Return the reasons for the first trial, in words."""
     best = tried[0]
     accurate = [one for one in tried if one.error <= accuracy]
-    words = [f"It needs the least time of {len(accurate)} that reach {accuracy:g}"]
+    words = [f"It is the fastest of {len(accurate)} that reach {accuracy:g}"]
     if len(accurate) > 1:
         words.append(f"; the next takes {accurate[1].seconds / best.seconds:.2g} times as long")
     words.append(".")
     if pilot.part < 1.0:
         words.append(
-            f" Tried up to t = {pilot.end:g} and extrapolated: errors grow like "
+            f" The trials ended at t = {pilot.end:g} and were extrapolated: errors grow like "
             f"t^{pilot.power(best.tolerance):.1f}{pilot.doubt}."
         )
         if not pilot.system.is_forced and best.h == "auto":
             words.append(
-                " Over long times steps of one size keep the energy of a reversible motion in a "
-                "band, and these do not."
+                " Over long times, fixed steps keep the energy of a reversible motion in a "
+                "band; these variable steps do not."
             )
     return "".join(words)
 
@@ -269,7 +269,10 @@ class _Pilot:
     def doubt(self) -> str:
         """A reservation about the extrapolation, or ""."""
         if self.growth >= GROWTH:
-            return ", or faster: the motion may be chaotic, so that no scheme is accurate for long"
+            return (
+                ", or faster, because the motion may be chaotic; then no scheme is accurate "
+                "for long"
+            )
         return ""
 
     def run(self, scheme: Any, end: float, **how: Any) -> Solution:

@@ -101,8 +101,9 @@ def convergence(
     require(kind_of(record), initial=initial)
     if tolerance is not None and not _has_flow(system, record, t0):
         raise ValueError(
-            f"tolerance = {arguments.shown(tolerance)} has no effect: errors are measured against "
-            f"the exact solution of {system.name!r}, not the reference flow; remove it"
+            f"tolerance = {arguments.shown(tolerance)} has no effect, because errors are "
+            f"measured against the exact solution of {system.name!r}, not the reference flow: "
+            "remove it"
         )
     start = record._initial(initial)
     x0 = geometry.initial_state(system, q0, v0)
@@ -337,14 +338,17 @@ def _counts(steps: Iterable[int]) -> list[int]:
                 raise ValueError(f"steps[{i}] = {count}: expected an integer")
             number = arguments.integer(count, f"steps[{i}]", 1)
             if number in places:
-                raise ValueError(f"steps[{i}] = {number}: steps[{places[number]}] is that already")
+                raise ValueError(
+                    f"steps[{i}] = {number}: steps[{places[number]}] has the same value; "
+                    "expected different numbers"
+                )
             places[number] = i
     except TypeError:
         raise ValueError(
             f"steps = {arguments.shown(steps)}: expected several numbers of steps"
         ) from None
     if not places:
-        raise ValueError("steps is empty: expected numbers of steps")
+        raise ValueError("steps is empty: expected at least one number of steps")
     return list(places)
 
 
@@ -352,7 +356,7 @@ def _require_few(total: int, most: int) -> None:
     """Raise ValueError if a study would take more steps than ``most``."""
     if total > most:
         raise ValueError(
-            f"the study would take {total} steps in all, more than max_steps = {most}: take fewer "
-            f"steps or a shorter interval, or say that you mean it with max_steps={total} "
+            f"the study would take {total} steps in total, more than max_steps = {most}. Take "
+            f"fewer steps or a shorter interval, or allow it with max_steps={total} "
             f"(--max-steps {total})"
         )

@@ -301,12 +301,12 @@ class Studies(Sequence[Study]):
         hidden = [study.scheme.name for study in self if not study.measurable]
         rest = f"; no verdict on {_listing(undecided)}" if undecided else ""
         if hidden:
-            rest += f"; the order of {_listing(hidden)} is not measurable in double"
+            rest += f"; the order of {_listing(hidden)} is not measurable in double precision"
         if failing:
-            do = "does" if len(failing) == 1 else "do"
+            fail = "fails" if len(failing) == 1 else "fail"
             return (
-                f"On {system}, {_listing(failing)} {do} not deliver what is promised; "
-                f"{len(holding)} of {len(self)} schemes hold{rest}."
+                f"On {system}, {_listing(failing)} {fail}; {len(holding)} of {len(self)} "
+                f"schemes hold{rest}."
             )
         if not holding:
             names = [study.scheme.name for study in self]

@@ -622,7 +622,7 @@ def _definition(model: Model, fast: bool, compact: bool) -> list[str]:
 
 
 def _for_the_package(made: Program, model: Model, definition: list[str]) -> None:
-    made.add("/* What the package finds by name. */")
+    made.add("/* The package finds this by its name. */")
     made.add(f"DAL_API const dal_system_def dal_model = {{{', '.join(definition)}}};")
     for name, out in (("mass", "M"), ("state", "x")):
         if model.derived.function(name) is not None:

@@ -22,8 +22,8 @@ from .model import Model, default_engine
 _PACKAGE = __name__.partition(".")[0]
 
 _WITHOUT_COMPILER = (
-    "no C compiler was found ({where}), so the system {name!r} runs on Python functions: a step "
-    "takes 30 to 300 times as long; install gcc or clang, or set CC"
+    "no C compiler was found ({where}), so the system {name!r} runs on Python functions, 30 "
+    "to 300 times slower; install gcc or clang, or set CC"
 )
 
 

@@ -86,7 +86,7 @@ def after(system: Handle, reset: Mapping[Any, Expr], where: str) -> list[tuple[s
         name = named.get(name, name) if name not in states else name
         if name not in states:
             raise ValueError(
-                f"{where}: {key} is neither a coordinate nor a velocity; expected some of "
+                f"{where}: {key} is neither a coordinate nor a velocity; expected a subset of "
                 f"{', '.join(states)}"
             )
         found[name] = _expression(expression, f"{where}[{name}]")
@@ -106,7 +106,8 @@ def inputs(system: Handle, given: Mapping[Any, Any]) -> list[tuple[str, Expr]]:
         if name not in system.inputs:
             hint = arguments.suggestion(name, system.inputs)
             raise ValueError(
-                f"inputs: {key} is no input; {hint}expected {', '.join(system.inputs) or 'none'}"
+                f"inputs: {key} is not an input; {hint}expected "
+                f"{', '.join(system.inputs) or 'none'}"
             )
     if missing := [name for name in system.inputs if name not in names]:
         raise ValueError(f"inputs: {missing[0]} is missing; expected {', '.join(system.inputs)}")

@@ -99,7 +99,7 @@ class _Formulas:
         base, _, index = name.rpartition("_")
         if index in ("i", "(i-1)"):
             if i is None:
-                raise ValueError(f"{name}: an index without a sum")
+                raise ValueError(f"{name}: the index belongs to no sum")
             k = i - (index != "i")
             name = f"{base}{k}" if f"{base}{k}" in self.known else f"{base}_{k}"
         return sympy.Symbol(name)

@@ -75,14 +75,14 @@ def _side(text: str, exact: bool) -> Expr:
     rules += [parser.implicit_multiplication, parser.convert_xor]
     try:
         if not _ALLOWED.fullmatch(text) or max(depth) > DEPTH:
-            raise ValueError("there is a sign out of place")
+            raise ValueError("a sign is out of place")
         # For Python -a b is (-a) b.
         words = _WORD.sub(word, re.sub(r"((?:^|[(,]) *)-(?= *[A-Za-z(])", r"\1-1 ", text))
         found = parser.parse_expr(
             words, names, rules, {"__builtins__": {}, **known}, evaluate=False
         )
         if not isinstance(found, sympy.Expr) or found.has(sympy.Tuple):
-            raise ValueError("there is a list out of place")
+            raise ValueError("a list is out of place")
     except Exception as error:  # SyntaxError, TypeError, tokenize.TokenError, ...
         raise ValueError(f"formula = {text!r}: {error}") from error
     return found

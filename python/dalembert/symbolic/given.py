@@ -30,7 +30,7 @@ def named(names: str | Sequence[str]) -> tuple[Any, ...]:
     for word in words:
         arguments.text(word, "names")
     if not words or len(set(words)) != len(words):
-        raise ValueError(f"names = {names!r}: expected different names, at least one")
+        raise ValueError(f"names = {names!r}: expected at least one name, all different")
     return models.make_coordinates(words)
 
 
@@ -94,14 +94,14 @@ def make_model(
     n = len(pairs)
     names = [name for name, _, _ in pairs]
     if n == 0:
-        raise ValueError("coordinates: needed, there are none in L")
+        raise ValueError("coordinates is missing: L contains none")
     if len(set(names)) != n:
         raise ValueError(f"coordinates = {names}: expected different names")
     symbols_of = [str(s) for _, *both in pairs for s in both]
     if twice := [s for s in symbols_of if symbols_of.count(s) > 1]:
         raise ValueError(
-            f"coordinates: {twice[0]} stands for two of the coordinates and velocities; expected "
-            "a symbol of its own for each"
+            f"coordinates: {twice[0]} stands for two of the coordinates and velocities; "
+            "expected a different symbol for each"
         )
     values, symbols = _parameters(parameters)
     taken = {*names, *symbols_of}
@@ -112,20 +112,20 @@ def make_model(
     acting = input_symbols(inputs)
     if both := sorted(acting.keys() & (taken | values.keys())):
         raise ValueError(
-            f"inputs: {both[0]} is the name of a coordinate, a velocity or a parameter too"
+            f"inputs: {both[0]} is also the name of a coordinate, a velocity or a parameter; "
+            "expected another name"
         )
     translate = Translation(pairs, values, symbols, acting)
     lagrangian = _without_time(translate(L, "L", translate.clock))
     phi = [_without_time(translate.constraint(a, one)) for a, one in enumerate(given)]
     if len(phi) > n:
-        raise ValueError(
-            f"constraints: {len(phi)} on {n} coordinates; at most {n} are independent"
-        )
+        raise ValueError(f"constraints: {len(phi)} on {n} coordinates; expected at most {n}")
     components = None if forces is None else translate.force(forces)
     for key, u in zip(acting, translate.inputs.values()):
         if not any(u in e.free_symbols for e in (*(components or ()), *phi)):
             raise ValueError(
-                f"inputs: {key} does not act: neither the force nor a constraint depends on it"
+                f"inputs: {key} has no effect, because neither the force nor a constraint "
+                "depends on it; remove it"
             )
     start = None if state is None else translate.several(state, "(q0, v0)")
     for e in start or ():
@@ -160,9 +160,11 @@ def _positions(given: Any, translate: Translation) -> Iterator[Expr]:
             raise ValueError(f"{where}: expected an expression that vanishes, not coefficients")
         found = translate(one, where, translate.clock)
         if not found.free_symbols & {*translate.q}:
-            raise ValueError(f"{where} = {one}: expected a coordinate in it")
+            raise ValueError(f"{where} = {one}: expected an expression with a coordinate")
         if found.free_symbols & {*translate.v}:
-            raise ValueError(f"{where} = {one}: expected coordinates alone, without a velocity")
+            raise ValueError(
+                f"{where} = {one}: expected an expression of the coordinates, without a velocity"
+            )
         yield found
 
 
@@ -195,8 +197,8 @@ def _require_derivatives(model: Model, values: list[float]) -> None:
         rest = wanted - np.linalg.lstsq(rows.T, wanted.T, rcond=None)[0].T @ rows
         for i in np.flatnonzero(abs(rest).max(axis=1) > 1e-8 * abs(wanted).max(axis=1)):
             raise ValueError(
-                f"positions[{i}] = {model.shown(model.positions[i])}: its time derivative is no "
-                "combination of the constraints; add it to them"
+                f"positions[{i}] = {model.shown(model.positions[i])}: its time derivative is "
+                "not a combination of the constraints; add it to them"
             )
         return
 
@@ -242,7 +244,8 @@ class Translation:
             expression = expression.xreplace(self.inputs)
         elif acting := sorted(str(u) for u in self.inputs if expression.has(u)):
             raise ValueError(
-                f"{where}: {acting[0]} is an input; only forces and constraints may depend on it"
+                f"{where} contains the input {acting[0]}: only forces and constraints may "
+                "depend on inputs"
             )
         if expression.has(sympy.Derivative):
             _refuse_rates(expression, where)
@@ -252,7 +255,7 @@ class Translation:
             found = found.doit()
         unknown = {d for d in found.atoms(sympy.Derivative) if d not in self.velocities}
         if unknown:
-            raise ValueError(f"{where}: {unknown.pop()} is no velocity of a coordinate")
+            raise ValueError(f"{where}: {unknown.pop()} is not the velocity of a coordinate")
         # equal names, whatever the assumptions
         own = Coordinate | Velocity | models.Time
         plain = {s: s.name for s in found.free_symbols if not isinstance(s, own)}
@@ -261,9 +264,9 @@ class Translation:
             self.used[symbol.name].add(symbol)
             if len(self.used[symbol.name]) > 1:
                 raise ValueError(
-                    f"{where}: {symbol} is the name of two symbols, of which one is "
+                    f"{where}: {symbol} is the name of two symbols, one of them "
                     f"{' and '.join(_assumed(self.used[symbol.name])) or 'not as the other'}; "
-                    "expected one symbol for a parameter, or another name"
+                    "expected one symbol for each parameter, or another name"
                 )
         found = found.xreplace(self.states | matching)
         allowed = {*self.q, *self.v, *self.rule.values()}
@@ -277,7 +280,7 @@ class Translation:
         left = found.free_symbols - allowed
         if left & (self.any_clock.keys() | {models.TIME}):
             hint = "for the time, write dalembert.time" if clock else "it may not depend on time"
-            raise ValueError(f"{where}: the symbol t is left over; {hint}")
+            raise ValueError(f"{where}: unknown symbol t; {hint}")
         self.require_none(sorted(map(str, left)), where)
         return found
 
@@ -285,8 +288,8 @@ class Translation:
         """Raise ValueError for unknown symbols."""
         if twins := [name for name in left if name.removesuffix(".d") in self.names]:
             raise ValueError(
-                f"{where}: this {twins[0]} is another symbol than that of the coordinates; "
-                "expected the very one of dalembert.coordinates, or that given in coordinates="
+                f"{where}: this {twins[0]} differs from the symbol of the coordinates; "
+                "expected the one returned by dalembert.coordinates, or given in coordinates="
             )
         if left:
             raise ValueError(
@@ -306,9 +309,9 @@ class Translation:
         for i, c in enumerate(row):
             if c.free_symbols & set(self.v):
                 raise ValueError(
-                    f"{where}: coefficient {i}, {given[i]}, has a velocity in it; a list is a "
-                    "one-form mu(q), whose coefficients are multiplied by the velocities; an "
-                    "equation is given as one expression"
+                    f"{where}: coefficient {i}, {given[i]}, contains a velocity. A list gives "
+                    "the coefficients of a one-form mu(q), which are multiplied by the "
+                    "velocities; for an equation, pass one expression"
                 )
         return sympy.Add(*(c * v for c, v in zip(row, self.v)))
 
@@ -320,7 +323,7 @@ class Translation:
                 key = self.positions[self.names.index(key)]
             position = self.states.get(key, self.same.get(_kind_and_name(key)))
             if position not in components:
-                raise ValueError(f"force: {key} is no coordinate ({', '.join(self.names)})")
+                raise ValueError(f"force: {key} is not a coordinate ({', '.join(self.names)})")
             components[position] += self(
                 expression, f"force[{key}]", self.any_clock, True
             )
@@ -386,7 +389,7 @@ def _expression(value: Any, name: str) -> Expr:
     if not isinstance(found, sympy.Expr):
         raise ValueError(f"{name} = {value!r}: expected a SymPy expression")
     if wrong := found.atoms(*map(type, (sympy.nan, sympy.oo, -sympy.oo, sympy.zoo))):
-        raise ValueError(f"{name}: {wrong.pop()} is in it; expected finite numbers")
+        raise ValueError(f"{name} contains {wrong.pop()}: expected finite numbers")
     return found
 
 
@@ -409,7 +412,7 @@ def _constraints(given: Any, name: str = "constraints") -> list[Any]:
         elif isinstance(one, list | tuple | sympy.Tuple | sympy.MatrixBase | np.ndarray):
             found.append([_expression(c, where) for c in one])
         elif one is True or one is False or one in (sympy.true, sympy.false):
-            raise ValueError(f"{where} = {one}: an equation that does not depend on anything")
+            raise ValueError(f"{where} = {one}: expected an equation that depends on the state")
         else:
             found.append(_expression(one, where))
     return found
@@ -435,7 +438,7 @@ def input_symbols(given: Any) -> dict[str, Expr]:
             raise ValueError(f"inputs: {one!r}: expected a symbol or a dynamicsymbol")
         name = arguments.text(str(one.func) if is_function else one.name, "inputs")
         if name in found:
-            raise ValueError(f"inputs: {name} is there twice")
+            raise ValueError(f"inputs: {name} occurs twice")
         found[name] = one
     return found
 
@@ -445,7 +448,7 @@ def _force(given: Any) -> Rule:
     found = {}
     for key, value in arguments.mapping(given, "force").items():
         if not isinstance(key, sympy.Expr | str):
-            raise ValueError(f"force: {key!r}: expected a coordinate, as the key of its component")
+            raise ValueError(f"force: {key!r}: expected a coordinate as the key")
         found[key] = _expression(value, f"force[{key}]")
     return found
 
@@ -497,7 +500,7 @@ def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list
         if not isinstance(symbol, sympy.Symbol):
             raise ValueError(f"parameters: {key!r}: expected a symbol, or its name")
         if symbol.name in values:
-            raise ValueError(f"parameters: {symbol.name} is there twice")
+            raise ValueError(f"parameters: {symbol.name} occurs twice")
         values[arguments.text(symbol.name, "parameters")] = arguments.parameter(value, symbol.name)
         symbols.append(symbol)
     return values, symbols

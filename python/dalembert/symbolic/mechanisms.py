@@ -30,9 +30,9 @@ def _refuse_kane(value: Any) -> None:
 
     if isinstance(value, KanesMethod):
         raise ValueError(
-            "a KanesMethod holds no Lagrangian, and its constraints only after elimination; pass "
-            "its coordinates, speeds, kinematic differential equations, bodies, loads and velocity "
-            "constraints as a mechanics.System to System.from_mechanics_system, with one "
+            "a KanesMethod contains no Lagrangian, and its constraints only after "
+            "elimination. Pass a mechanics.System to System.from_mechanics_system, with the "
+            "coordinates, speeds, bodies, loads and velocity constraints. It needs one "
             "kinematic differential equation for each speed, dependent ones included"
         )
 
@@ -63,7 +63,7 @@ def from_system(system: Any, inputs: Any = ()) -> dict[str, Any]:
     if not isinstance(system, mechanics.System):
         raise ValueError(f"system = {system!r}: expected a sympy.physics.mechanics.System")
     if len(system.u_aux):
-        raise ValueError(f"auxiliary speeds {list(system.u_aux)}: there is no slot for them")
+        raise ValueError(f"auxiliary speeds {list(system.u_aux)} are not supported; remove them")
     q, rule = list(system.q), _velocities(system)
     known = (_orientation(body, system.frame) for body in system.bodies)
     motion = _Motion(q, rule, [R for R in known if R is not None])
@@ -97,17 +97,17 @@ def _velocities(system: Any) -> Rule:
         free = [u for u in speeds if not any(e.has(u) for e in equations)] or speeds
         raise ValueError(
             f"speeds {free}: there are {len(equations)} kinematic differential equations for "
-            f"{len(speeds)} speeds; expected one for each, which gives it by velocities. Add the "
-            "coordinates that are missing, as those of a point, with system.add_coordinates, and "
-            "the equations, as u - x.diff(), with system.add_kdes"
+            f"{len(speeds)} speeds; expected one for each speed, which relates it to "
+            "velocities. Add missing coordinates, such as those of a point, with "
+            "system.add_coordinates, and equations, such as u - x.diff(), with system.add_kdes"
         )
     A, b = sympy.linear_eq_to_matrix(equations, speeds)
     try:
         return dict(zip(speeds, A.LUsolve(b)))
     except sympy.matrices.exceptions.NonInvertibleMatrixError:
         raise ValueError(
-            f"kdes {equations}: they do not determine the speeds {speeds}; expected an equation "
-            "for each, as u - x.diff()"
+            f"kdes {equations} do not determine the speeds {speeds}; expected an equation for "
+            "each speed, for example u - x.diff()"
         ) from None
 
 
@@ -283,17 +283,17 @@ def _components(vector: Any, frame: Any, what: str) -> Expr:
         return vector.to_matrix(frame)
     except ValueError as error:
         raise ValueError(
-            f"{what}: {error}; expected an orientation of each frame, as by A.orient_axis(N, "
-            "theta, N.z)"
+            f"{what}: {error}; expected an orientation of each frame, for example "
+            "A.orient_axis(N, theta, N.z)"
         ) from None
 
 
 def _no_derivative(what: str, of: str, frame: Any) -> ValueError:
     return ValueError(
-        f"{what} is not {of}. A Lagrangian needs velocities of coordinates; expected kinematic "
-        "differential equations that follow from positions and orientations, as "
-        f"u - r.dt({frame}).dot(A.x) for the speed u along A.x of a point at r = x*{frame}.x + "
-        f"y*{frame}.y"
+        f"{what} is not {of}. A Lagrangian needs velocities of coordinates. Derive the "
+        "kinematic differential equations from positions and orientations; for example, the "
+        f"speed u along A.x of a point at r = x*{frame}.x + y*{frame}.y has u - "
+        f"r.dt({frame}).dot(A.x)"
     )
 
 
@@ -314,7 +314,7 @@ def _forces(
     V, force = sympy.Integer(0), dict.fromkeys(motion.q, sympy.Integer(0))
     loads, varying = list(loads or []), [*input_symbols(inputs).values(), motion.time]
     if loads and frame is None:
-        raise ValueError("forcelist without frame: the inertial frame is needed for its forces")
+        raise ValueError("forcelist is given without frame: its forces need the inertial frame")
 
     def is_constant(e: Expr) -> bool:
         return not e.has(AppliedUndef, sympy.Derivative, *varying)

@@ -121,8 +121,8 @@ def in_order(found: Iterable[Coordinate]) -> list[Coordinate]:
     ):
         shown = " and ".join(f"dalembert.coordinates({' '.join(c)!r})" for c in sorted(calls))
         raise ValueError(
-            f"coordinates: needed, for the order of {', '.join(sorted(order))} is not clear: "
-            f"their symbols are of {shown}"
+            f"coordinates is missing: the order of {', '.join(sorted(order))} is ambiguous, "
+            f"because their symbols are of {shown}"
         )
     return [by_name[name] for name in order]
 
@@ -275,9 +275,9 @@ def _naming(model: Model, where: str) -> Iterator[None]:
     except _Jump as jump:
         x, argument = map(model.shown, jump.args)
         raise ValueError(
-            f"{where}: its derivative by {x} needs DiracDelta({argument}), for it jumps where "
-            f"{argument} = 0; write a Piecewise, whose jumps exert no force, or a smooth step of "
-            "width w, such as (1 + tanh(x/w))/2 for Heaviside(x)"
+            f"{where}: its derivative by {x} needs DiracDelta({argument}), because it jumps "
+            f"where {argument} = 0. Write a Piecewise, whose jumps exert no force, or a "
+            "smooth step of width w, such as (1 + tanh(x/w))/2 for Heaviside(x)"
         ) from None
 
 
@@ -789,9 +789,9 @@ def _energy(
     for i, name in enumerate(model.coordinates):
         if all(e == 0 for e in L_vv[i * model.n : (i + 1) * model.n]):
             raise ValueError(
-                f"L: {model.shown(v[i])} is not in it, or only linearly, so that {name} has no "
-                f"mass; expected a kinetic energy of {name}, such as m*{model.shown(v[i])}**2/2, "
-                "in velocities, not in generalized speeds"
+                f"L contains {model.shown(v[i])} not at all or only linearly, so {name} has "
+                f"no mass; expected a kinetic energy of {name}, such as "
+                f"m*{model.shown(v[i])}**2/2, in velocities, not in generalized speeds"
             )
     mass, potential = _constant_mass(model, engine, lagrangian, L_v, L_vv)
     if mass is None:
@@ -924,11 +924,13 @@ def _kind(
         if all(map(is_zero, (mu if affine else given)[row])):
             shown = f"constraints[{a}] = {model.shown(model.constraints[a])}"
             if is_zero(engine.give(phi[a])):
-                raise ValueError(f"{shown}: it is 0 for all velocities, and constrains nothing")
+                raise ValueError(
+                    f"{shown}: it is 0 for all velocities, so it constrains nothing; remove it"
+                )
             raise ValueError(
-                f"{shown}: expected a velocity in "
-                "it; give the time derivative of a constraint on the coordinates alone, and itself "
-                "among positions"
+                f"{shown}: expected an expression with a velocity; for a constraint on the "
+                "coordinates alone give its time derivative here, and the constraint itself "
+                "in positions="
             )
     if not affine:
         return "nonlinear", phi_v
@@ -1028,16 +1030,18 @@ def require_known(
                 nearest(e, where)
             continue
         if isinstance(e, AppliedUndef):
-            hint = "write its formula in place of it"
+            hint = "write its formula instead"
             if [str(x) for x in e.args] == [TIME.name]:
                 hint = (
-                    "a coordinate belongs into coordinates=, what drives a force or a constraint "
-                    "into inputs=, and a generalized speed is replaced by velocities after its "
-                    f"kinematic differential equation, as by .subs({shown(e)}, ...)"
+                    "list a coordinate in coordinates=, and an input of a force or a "
+                    "constraint in inputs=. Replace a generalized speed by velocities, with "
+                    f"its kinematic differential equation, for example by .subs({shown(e)}, "
+                    "...)"
                 )
             raise ValueError(f"{where}: {shown(e)} is an unknown function; {hint}")
         names = {f.__name__ for f in (*FUNCTIONS, *_STRUCTURE) if issubclass(f, sympy.Function)}
         raise ValueError(
-            f"{where}: {shown(e)} ({type(e).__name__}) is not among what can be compiled: "
+            f"{where}: {shown(e)} ({type(e).__name__}) cannot be compiled; expected "
+            "expressions of "
             f"{', '.join(sorted({*names, 'sqrt', 'Max', 'Min', 'And', 'Or', 'Not'}))}"
         )

@@ -154,8 +154,8 @@ class _Writer:
             return 1.0 / getattr(self.heyoka, name)(self(e.args[0]))
         shown = e if e.free_symbols - self.known.keys() else self.shown(e)
         raise ValueError(
-            f"method = 'taylor': {shown} ({type(e).__name__}) has no Taylor series where it jumps "
-            "or bends; the methods rk8pd, msadams and rodas take it"
+            f"method = 'taylor': {shown} ({type(e).__name__}) has no Taylor series where it "
+            "jumps or has a kink; choose rk8pd, msadams or rodas"
         )
 
     def product(self, e: Expr) -> Any:

@@ -101,8 +101,8 @@ class Source:
                 pickle.dumps(function)
             except Exception as error:
                 raise pickle.PicklingError(
-                    f"the system {name!r} does not pickle, because its {key} = {function!r} does "
-                    "not; define it with def at the top level of a module"
+                    f"the system {name!r} cannot be pickled, because its {key} = {function!r} "
+                    "cannot; define it with def at the top level of a module"
                 ) from error
 
 
@@ -245,13 +245,13 @@ def functions(given: dict[str, Any]) -> Functions:
     compiled = _compiled(by_name, driven)
     inputs = _input_names(given["inputs"], by_name["force"], driven)
     if driven and not inputs:
-        raise ValueError("driven = True: expected inputs with it, on which the constraints depend")
+        raise ValueError("driven = True: expected inputs= as well, on which the constraints depend")
     if driven and by_name["forms"] is None and by_name["constraint"] is None:
-        raise ValueError("driven = True: there are no constraints")
+        raise ValueError("driven = True: expected constraints")
     timed = bool(given["time_dependent"])
     for key, function in {**by_name, **(invariants or {})}.items():
         if function is not None and key in core.functions.OF_TIME and not timed:
-            raise ValueError(f"{key}: expected time_dependent=True with it")
+            raise ValueError(f"{key} is given: expected time_dependent=True as well")
         if key not in compiled:
             taken = core.functions.taken(key, len(inputs), timed, driven)
             arguments.function(function, key, taken)
@@ -262,7 +262,10 @@ def functions(given: dict[str, Any]) -> Functions:
         _require_parts(by_name, mass, timed)
         for key, value in for_c.items():
             if value is not None:
-                raise ValueError(f"{key} = {arguments.shown(value)}: only C functions take it")
+                raise ValueError(
+                    f"{key} = {arguments.shown(value)}: expected C functions, because Python "
+                    "functions do not use it"
+                )
     arguments.pair(given["q0"], given["v0"], ("q0", "v0"))
     sparse = given["sparsity"] is not None
     most = _MOST_OF_ALL if sparse else _MOST_COORDINATES
@@ -271,7 +274,7 @@ def functions(given: dict[str, Any]) -> Functions:
     pattern = sparsity.read(given["sparsity"], size, m) if sparse else None
     positional = bool(given["positional"])
     if positional and by_name["force"] is None:
-        raise ValueError("positional = True: there is no force")
+        raise ValueError("positional = True: expected a force")
     if pattern is not None:
         _require_linear(by_name, bool(compiled))
         m = pattern.m
@@ -307,8 +310,8 @@ def _input_names(given: Sequence[str] | int | None, force: Any, driven: bool) ->
         raise ValueError(f"inputs = {names!r}: expected different names")
     if names and force is None and not driven:
         raise ValueError(
-            f"inputs = {names!r}: there is no force, which takes them; for constraints that do, "
-            "say driven=True"
+            f"inputs = {names!r}: expected a force that uses them; for constraints that "
+            "depend on inputs, pass driven=True"
         )
     return names
 
@@ -327,7 +330,7 @@ def _mass_and_names(
     matrix = None if mass is None else _mass_matrix(mass, n, told)
     size = told if matrix is None else len(matrix)
     if size is None:
-        raise ValueError("n: needed, because neither coordinates nor q0 tell it")
+        raise ValueError("n is missing: neither coordinates nor q0 determine it")
     names = [f"q{i}" for i in range(size)] if coordinates is None else coordinates
     if len(names) != size or len(set(names)) != size:
         raise ValueError(f"coordinates = {coordinates!r}: expected {size} different names")
@@ -513,7 +516,7 @@ def _require_parts(functions: dict[str, Function | None], mass: Any, timed: bool
         ("forms", "constraint"),
     ):
         if one in given and other in given:
-            raise ValueError(f"{one} and {other}: expected one of the two")
+            raise ValueError(f"{one} and {other} are both given: expected one of the two")
     for key in core.functions.FUNCTIONS:
         needed = _NEEDS.get(key, "")
         names = [part.split("(")[0] for part in needed.split(" and ")] if needed else []
@@ -521,14 +524,14 @@ def _require_parts(functions: dict[str, Function | None], mass: Any, timed: bool
             needed = re.sub(r"\((?!t)", "(t, ", needed) if timed else needed
             raise ValueError(f"{key} without {needed}")
     if "constraint_t" in given and not given & {"forms", "constraint"}:
-        raise ValueError("constraint_t without forms or constraint")
+        raise ValueError("constraint_t is given without forms or constraint")
     if not given & {"mass", "lagrangian"}:
-        raise ValueError("mass: needed, or a lagrangian")
+        raise ValueError("mass is missing: expected a mass or a lagrangian")
     derivatives = given & {"forms_velocity_derivative", "affine_derivative"}
     if "affine" in given and len(derivatives) == 1:
         raise ValueError(
-            f"{derivatives.pop()} alone: expected forms_velocity_derivative and "
-            "affine_derivative, both or none"
+            f"{derivatives.pop()} is given alone: expected both forms_velocity_derivative and "
+            "affine_derivative, or neither"
         )
 
 
@@ -542,14 +545,15 @@ def _require_compiled(
     for key, function in functions.items():
         if function is not None and key != "exact" and key not in compiled:
             raise ValueError(
-                f"{key} = {function!r} together with the C function {next(iter(compiled))}: "
-                "expected C functions for potential, constraint, lagrangian and force, with their "
-                "derivatives among the outputs, or Python functions"
+                f"{key} = {function!r} is given together with the C function "
+                f"{next(iter(compiled))}. Expected either only Python functions, or C "
+                "functions for potential, constraint, lagrangian and force, with their "
+                "derivatives among the outputs"
             )
     if (mass is None) == ("lagrangian" not in compiled):
-        raise ValueError("mass and lagrangian: expected one of the two")
+        raise ValueError("mass and lagrangian: expected exactly one of the two")
     if mass is None and "potential" in compiled:
-        raise ValueError("potential and lagrangian: expected one of the two")
+        raise ValueError("potential and lagrangian are both given: expected one of the two")
     if ("constraint" in compiled) != bool(m):
         raise ValueError(f"m = {m}: expected the number of constraints, with a constraint only")
 
@@ -570,7 +574,7 @@ def _mass_matrix(mass: ArrayLike, n: int | None, told: int | None) -> Array:
     matrix = arguments.array(mass, "mass", (None, None), (None,), ())
     if matrix.ndim == 0:
         if told is None:
-            raise ValueError(f"n: needed, because mass = {mass!r} does not tell it")
+            raise ValueError(f"n is missing: mass = {mass!r} does not determine it")
         matrix = np.full(told, float(matrix))
     if matrix.shape[0] != matrix.shape[-1] or matrix.size == 0:
         raise ValueError(f"mass: expected a square matrix, got shape {matrix.shape}")
@@ -585,7 +589,9 @@ def _require_linear(functions: dict[str, Function | None], compiled: bool) -> No
         return
     for key in ("affine", "constraint"):
         if functions[key] is not None:
-            raise ValueError(f"sparsity with {key}: expected linear constraints, forms alone")
+            raise ValueError(
+                f"sparsity is given with {key}: expected linear constraints, given by forms only"
+            )
     if functions["forms"] is None:
         raise ValueError("sparsity without forms")
 
@@ -602,7 +608,7 @@ def _number_of_constraints(
     """Return m as given, or the number of rows from ``forms`` or ``constraint`` at time 0."""
     if forms is None and constraint is None:
         if m:
-            raise ValueError(f"m = {m}: without forms or constraint there are no constraints")
+            raise ValueError(f"m = {m}: expected forms or constraint as well")
         return 0
     if m is not None:
         return arguments.integer(m, "m", 0)
@@ -613,14 +619,12 @@ def _number_of_constraints(
         shape = arguments.shape(constraint(*time, point[:n], point[n:], *inputs))
         if len(shape) != 1:
             raise ValueError(
-                "constraint has to return shape (m,), one number for each constraint, it "
-                f"returned {shape}"
+                f"constraint returned {shape}: expected shape (m,), one number for each constraint"
             )
     elif forms is not None:
         shape = arguments.shape(forms(*time, point[:n], *inputs))
         if len(shape) != 2 or shape[1] != n:
             raise ValueError(
-                f"forms has to return shape (m, {n}), one row for each constraint, "
-                f"it returned {shape}"
+                f"forms returned {shape}: expected shape (m, {n}), one row for each constraint"
             )
     return arguments.integer(shape[0], "m", 0)

@@ -19,8 +19,8 @@ class Sparsity(NamedTuple):
 
 
 _EXPECTED = (
-    "expected an array of shape (m, n) that is not 0 where an entry may be, a SciPy sparse array "
-    "of this shape, or a tuple of their rows and their columns"
+    "expected an array of shape (m, n), nonzero where entries may be, a SciPy sparse array, "
+    "or a tuple (rows, columns)"
 )
 
 

@@ -300,7 +300,7 @@ class System(Handle):
         ctx: Any = None,
     ) -> None:
         if hasattr(self, "_handle"):
-            raise TypeError("a System does not change: __init__ is called once")
+            raise TypeError("a System cannot be changed: __init__ is called only once")
         given = locals()
         del given["self"], given["units"]
         self._take(sources.functions(given), units)
@@ -635,7 +635,7 @@ class System(Handle):
                 continue
             status = core.attempt(lib.dal_system_exact, self._handle, float(time), x0, x[k])
             if status == lib.DAL_EUNSUPPORTED:
-                raise NotImplementedError(f"the system {self.name!r} carries no exact solution")
+                raise NotImplementedError(f"the system {self.name!r} has no exact solution")
             core.check(status, step=k)
         x = core.first(x, times.ndim == 0)
         return x[..., :n], x[..., n:]
@@ -759,8 +759,8 @@ class System(Handle):
         off = abs(found[:k]) / (abs(found[k:].reshape(k, -1)) @ (1.0 + abs(q)))
         for i in np.flatnonzero(~(off <= CLOSE)):
             return (
-                f"positions[{i}] = {self.positions[i]} is {found[i]:.3g} at t = {t:g}, "
-                f"off by {off[i]:.1e} of the size of its terms, allowed {CLOSE:g}"
+                f"positions[{i}] = {self.positions[i]} is {found[i]:.3g} at t = {t:g}: "
+                f"relative error {off[i]:.1e}, allowed {CLOSE:g}"
             )
         return ""
 
@@ -980,12 +980,13 @@ class System(Handle):
         for function, name in ((g, "g"), (g_v, "g_v"), (g_q, "g_q"), (g_t, "g_t")):
             arguments.function(function, name)
         if g_t is not None and not self.is_time_dependent:
-            raise ValueError("g_t: the system does not depend on time")
+            raise ValueError("g_t is given, but the system does not depend on time; remove it")
         if g is None or g_v is None:
-            raise ValueError("g(q, v) and g_v(q, v) -> dg/dv: expected both")
+            raise ValueError("g(q, v) and g_v(q, v) -> dg/dv: expected both of them")
         if arguments.choice(kind, "kind", KINDS) < KINDS[self.kind]:
             raise ValueError(
-                f"kind = {kind!r}: the constraints of the system are {self.kind} already"
+                f"kind = {kind!r}: expected at least {self.kind}, the kind of the constraints "
+                "of the system"
             )
         delta = arguments.number(delta, "delta")
         source = sources.Deformed(self, g, delta, g_v, g_q, g_t, kind)
@@ -1028,7 +1029,7 @@ class System(Handle):
         shift = arguments.number(shift, "shift")
         if lib.dal_system_missing(self._handle) & lib.DAL_MISSING_PHI_Q:
             needed = "constraint_q" if self.kind == "nonlinear" else "forms_velocity_derivative"
-            raise ValueError(f"{needed}: needed, the system {self.name!r} does not provide it")
+            raise ValueError(f"{needed} is missing: the system {self.name!r} does not provide it")
         return type(self)._of(sources.AtKeptNodes(self, shift), self._units)
 
     # ---- as an object --------------------------------------------------------------------
@@ -1064,7 +1065,7 @@ class System(Handle):
     def __init_subclass__(cls) -> None:
         for name in ("n", "m"):
             if name in cls.__dict__:
-                raise TypeError(f"{name} of a System is that of its functions, not of the class")
+                raise TypeError(f"{name} of a System belongs to its functions, not to the class")
 
     def __copy__(self) -> System:
         return self

@@ -177,7 +177,7 @@ def plain_name(name: str) -> str:
 
 def _no_system(name: Any, there: list[str]) -> str:
     meant = arguments.suggestion(name, there)
-    return f"there is no system {arguments.shown(name)}; {meant}there are {', '.join(there)}"
+    return f"there is no system {arguments.shown(name)}; {meant}choose one of: {', '.join(there)}"
 
 
 def _maker(name: str) -> Callable[..., System]:

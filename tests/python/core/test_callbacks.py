@@ -142,10 +142,10 @@ def test_an_argument_may_be_returned():
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (5, r"exact has to return 2 arrays of shape \(2,\), it returned 5"),
-        (None, "it returned None"),
+        (5, r"exact returned 5: expected 2 arrays of shape \(2,\)"),
+        (None, "returned None: expected"),
         (([0, 0],), r"it returned \(\[0, 0\],\)"),
-        (([0, 0], [0, 0], 1), "has to return 2 arrays"),
+        (([0, 0], [0, 0], 1), "expected 2 arrays"),
         (([0, 0], "x"), r"exact \(v\) has to return real numbers of shape \(2,\)"),
         (([0, 0], [0]), r"exact \(v\) has to return shape \(2,\), it returned \(1,\)"),
     ],
@@ -165,7 +165,7 @@ def test_potential_may_be_any_number(value):
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("forms", np.ones(4), r"forms has to return shape \(2, 4\), it returned \(4,\)"),
+        ("forms", np.ones(4), r"forms returned shape \(4,\): expected \(2, 4\)"),
         ("forms", np.ones((4, 2)), r"forms .*\(2, 4\), it returned \(4, 2\)"),
         ("forms", None, r"forms has to return real numbers of shape \(2, 4\)"),
         ("forms", [[1, 2], [3]], "forms has to return real numbers"),
@@ -535,7 +535,7 @@ def test_what_is_not_finite_is_named_as_the_user_named_it(own, name, entry, text
     "wrong, message",
     [
         (dict(forms=lambda q: [[-q[1], 0, 1], [1, 0]]), r"^forms has.*rows of different lengths"),
-        (dict(forms=lambda q: None), "^forms has to return shape .*it returned None"),
+        (dict(forms=lambda q: None), "^forms returned None: expected"),
         (dict(forms=lambda q, v: [[0, 0, 1]]), r"^forms is a function of \(q, v\).*one of \(q\)"),
         (dict(force=lambda q, v: -v), r"^force is a function of \(q, v\).*one of \(t, q, v\)"),
         (dict(forms_velocity_derivative=lambda q: 0), "^forms_velocity_derivative is a function"),

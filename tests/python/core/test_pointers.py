@@ -251,8 +251,8 @@ def test_refused(library):
              "potential": of_scipy(library, "potential", SPRINGS.copy())},
             "ctx: the callbacks have different user_data",
         ),
-        ({"mass": [1, 1], "kind": "linear"}, "only C functions"),
-        ({"mass": [1, 1], "ctx": 5}, "only C functions"),
+        ({"mass": [1, 1], "kind": "linear"}, "expected C functions"),
+        ({"mass": [1, 1], "ctx": 5}, "expected C functions"),
     ]
     for arguments, words in cases:
         with pytest.raises(ValueError, match=words):

@@ -77,7 +77,7 @@ def test_ctrl_c(who, tmp_path):
         time.sleep(3)
         process.send_signal(signal.SIGINT)
         assert process.wait(10) == 130
-        assert b"the same command goes on" in process.stderr.read()
+        assert b"repeat the same command" in process.stderr.read()
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)

@@ -389,7 +389,7 @@ def test_doubtful_events():
         ("keep", {"keep": "everything"}),
         ("keep", {"keep": ["end", "all"]}),
         ("stride = 3", {"keep": "all", "stride": 3}),
-        ("the end alone", {"stride": 2}),
+        ("only the end is kept", {"stride": 2}),
         ("threads", {"threads": 0}),
         ("block", {"block": 0}),
         ("executor", {"executor": 3, "threads": None}),
@@ -411,7 +411,7 @@ def test_parameters_of_a_system_without():
 
 
 def test_memory():
-    with pytest.raises(MemoryError, match="keep less of them, or give a store"):
+    with pytest.raises(MemoryError, match="keep fewer quantities, or pass store="):
         many(dal.systems.sleigh(), parameters={"a": np.ones(100_000)}, h=0.1, steps=10**9,
              keep="all")  # fmt: skip
 
@@ -420,7 +420,7 @@ def test_names_that_mean_two_things():
     system = dal.System(mass=[1, 1], coordinates=["u", "v_u"], q0=[0, 50], v0=[1, 0])
     energy = dal.System(mass=[1], coordinates=["energy"], q0=[0], v0=[1])
     for one, name in ((system, "v_u"), (energy, "energy")):
-        with pytest.raises(ValueError, match="a coordinate and something else"):
+        with pytest.raises(ValueError, match="a coordinate and of another quantity"):
             many(one, h=0.1, steps=1, keep=name)
 
 

@@ -101,7 +101,7 @@ def test_terminal():
     assert abs(EDGE.multipliers(q, v).mean() - run.reactions[-1, 0]) < 1e-7
     np.testing.assert_array_equal(run(run.t[-1]).q, run.q[-1])
     np.testing.assert_array_equal(run(run.t[:-1]).q, run.q[:-1])
-    with pytest.raises(ValueError, match="between two states"):
+    with pytest.raises(ValueError, match="between the two stored states"):
         run(0.63)
     stop.terminal = 2
     turning = dal.Event(lambda t, q, v: np.sin(q[2]), terminal=3)
@@ -123,7 +123,7 @@ def test_resets(nodes):
     q = run.q[-1] - run.shift * run.v[-1]
     np.testing.assert_allclose(q, EDGE.exact(2 * T - 1.5)[0], atol=1e-4)
     row = int(np.searchsorted(run.t, T))
-    with pytest.raises(ValueError, match="was reset there"):
+    with pytest.raises(ValueError, match="the state was reset"):
         run((run.t[row - 1] + run.t[row]) / 2)
     for k in (row - 1, row, row + 1):  # on both sides of it, from its own side
         np.testing.assert_array_equal(run(run.t[k]).q, run.q[k])
@@ -204,7 +204,7 @@ def test_balls():
 def test_doubt_is_said():
     spring = dal.System(mass=[1], potential=lambda q: 9 * q[0], gradient=lambda q: [9.0],
                         q0=[0], v0=[3])  # fmt: skip
-    with pytest.warns(dal.DalembertWarning, match=r"events\[0\] comes so near to zero.*t = 0\.333"):
+    with pytest.warns(dal.DalembertWarning, match=r"events\[0\] comes close to zero.*t = 0\.333"):
         dal.integrate(spring, h=0.31, steps=3, events=[lambda t, q, v: q[0] - 0.5])
 
 
@@ -268,7 +268,7 @@ def test_t_eval_with_forces_in_time_and_inputs():
         ({"events": [dal.Event(through, direction="up")]}, r"events\[0\].direction = 'up'"),
         ({"events": [dal.Event(through, reset=3)]}, r"events\[0\].reset = 3"),
         ({"events": [dal.Event(through, consistent="no")]}, r"events\[0\].consistent = 'no'"),
-        ({"t_eval": [0.0, 1.0]}, r"t_eval: 1\.0 lies outside"),
+        ({"t_eval": [0.0, 1.0]}, r"t_eval contains 1\.0: expected"),
         ({"t_eval": [0.2, 0.1]}, "in the order of the run"),
         ({"t_eval": []}, "at least one time"),
         ({"t_eval": [np.nan]}, "t_eval"),
@@ -289,7 +289,7 @@ def test_failures():
             dal.integrate(EDGE, h=0.1, steps=10, events=[g])
         if error is not ValueError:
             assert len(caught.value.partial.t) == 6
-    with pytest.raises(ValueError, match=r"the reset of events\[0\] has to return 2 arrays"):
+    with pytest.raises(ValueError, match=r"the reset of events\[0\] returned .* expected 2 arrays"):
         dal.integrate(EDGE, h=0.1, steps=10, events=[dal.Event(through, reset=lambda q, v: q)])
     adams = dal.Scheme.flow("msadams")
     with pytest.raises(NotImplementedError, match="does not support events"):

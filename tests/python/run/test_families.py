@@ -163,7 +163,7 @@ def test_flow_has_a_method_and_a_tolerance():
     np.testing.assert_allclose(other, best, rtol=0, atol=1e-9)
     given = dal.integrate(system, "reference", h=1.0, steps=5, tolerance=1e-4).x
     np.testing.assert_array_equal(given, rough)
-    with pytest.raises(ValueError, match="tolerance = 1e-05: the scheme has"):
+    with pytest.raises(ValueError, match="tolerance = 1e-05: the scheme already has"):
         dal.integrate(system, dal.Scheme.flow(tolerance=1e-4), h=1.0, steps=5, tolerance=1e-5)
     with pytest.raises(ValueError, match="method = 'euler'"):
         dal.Scheme.flow("euler")

@@ -239,7 +239,7 @@ def test_reference(own):
 def test_tolerances_below_roundoff_are_refused(particle, method, coordinates):
     options = {"method": method, "coordinates": coordinates}
     for tolerance in (1e-300, 4.4e-16, -1.0, 0.2):
-        with pytest.raises(ValueError, match=r"tolerance = .* is not in \[4.4e-16, 0.1\]"):
+        with pytest.raises(ValueError, match=r"tolerance = .*: expected a number from 4.4e-16 "):
             dal.reference(particle, t=1e-3, tolerance=tolerance, **options)
     assert dal.reference(particle, t=1e-9, tolerance=4 * U, **options).accuracy < 1e-14
 
@@ -349,7 +349,7 @@ def test_no_steps(own):
     ("arguments", "text"),
     [
         ({"h": 0.03, "t_end": 1.0}, "33.33.* t_end = 0.99 or 1.02, or h = 0.0294.* or 0.0303"),
-        ({"h": 0.1, "t_end": -1.0}, "t_end = -1 lies before"),
+        ({"h": 0.1, "t_end": -1.0}, "t_end = -1: expected a time after"),
         ({"h": 0.1}, "t_end and steps.*none"),
         ({"h": 0.1, "t_end": 1.0, "steps": 10}, "t_end and steps.*both"),
         ({"h": 0, "steps": 1}, "h = 0"),
@@ -362,7 +362,7 @@ def test_no_steps(own):
         ({"h": 0.1, "steps": 10, "stride": 0}, "stride = 0"),
         ({"h": 0.1, "steps": 1, "consistent": "maybe"}, "consistent = 'maybe'.*'check'"),
         ({"h": 0.1, "steps": 1, "initial": "D"}, "initial = 'D'.*moved"),
-        ({"h": 0.1, "steps": 1, "scheme": "midpoint-nodes"}, "initial: needed.*'D_eps'"),
+        ({"h": 0.1, "steps": 1, "scheme": "midpoint-nodes"}, "initial is missing.*'D_eps'"),
         ({"h": 0.1, "steps": 1, "scheme": []}, r"scheme = \[\]: expected a Scheme"),
         ({"h": 0.1, "steps": 1, "observer": 3}, "observer = 3: expected a function"),
         ({"h": 0.1, "steps": 1, "progress": 3}, "progress = 3: expected True, False or a function"),
@@ -399,7 +399,7 @@ def test_wrong_arguments_are_named(particle, arguments, text):
 def test_a_system_is_needed():
     with pytest.raises(ValueError, match="system = 'particle'"):
         dal.integrate("particle", h=0.1, steps=1)
-    with pytest.raises(ValueError, match="q0: needed"):
+    with pytest.raises(ValueError, match="q0 is missing"):
         dal.integrate(dal.System(mass=[1]), h=0.1, steps=1)
 
 

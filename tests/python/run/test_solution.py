@@ -209,7 +209,7 @@ def test_a_chart_and_an_embedding_do_not_change(particle):
 
 
 def test_a_system_is_made_once(particle_in_python):
-    with pytest.raises(TypeError, match="__init__ is called once"):
+    with pytest.raises(TypeError, match="__init__ is called only once"):
         particle_in_python.__init__(mass=np.eye(40))
     run = dal.integrate(particle_in_python, h=0.1, steps=2)
     assert run.energy.shape == (3,)
@@ -217,5 +217,5 @@ def test_a_system_is_made_once(particle_in_python):
 
 @pytest.mark.parametrize("name", ["n", "m"])
 def test_a_subclass_leaves_the_sizes_alone(name):
-    with pytest.raises(TypeError, match=f"{name} of a System is that of its functions"):
+    with pytest.raises(TypeError, match=f"{name} of a System belongs to its functions"):
         type("Own", (dal.System,), {name: 2})

@@ -46,7 +46,7 @@ def test_a_motion_that_relaxes_takes_longer_and_longer_steps():
 @pytest.mark.parametrize(("scheme", "tolerance"), [("bm4", 1e-14), ("leapfrog-ss10", 1e-14)])
 def test_a_tolerance_that_the_estimate_does_not_see_is_said(scheme, tolerance):
     system = dal.systems.particle_oscillator()
-    with pytest.warns(dal.DalembertWarning, match="longer than the tolerance allows"):
+    with pytest.warns(dal.DalembertWarning, match="a larger error than the tolerance allows"):
         run = dal.integrate(system, scheme, h="auto", tolerance=tolerance, t_end=100)
     exact = dal.integrate(system, "reference", h=100, steps=1, tolerance=1e-15)
     assert relative(run, exact.q[-1], exact.v[-1]) > 5 * tolerance
@@ -450,13 +450,13 @@ def test_refused_eps():
         ({"t_end": 1, "tolerance": "low"}, ValueError, "tolerance = 'low'"),
         ({"t_end": 1, "h_max": 0}, ValueError, "h_max = 0: expected a positive number"),
         ({"t_end": 1, "scheme": "leapfrog"}, NotImplementedError, "no error estimate"),
-        ({"t_end": 1, "scheme": "reference"}, ValueError, "chooses its own steps"),
+        ({"t_end": 1, "scheme": "reference"}, ValueError, "chooses its own step sizes"),
         (
             {"t_end": 1, "scheme": "midpoint-nodes", "initial": "D"}, ValueError,
-            "kept nodes: D_eps depends on h",
+            "kept nodes, whose D_eps depends on h",
         ),
         ({"t_end": 1, "hold": 0.1}, ValueError, "hold = 0.1 has no effect without inputs"),
-        ({"t_end": 1, "t_eval": [0.5, 1.5]}, ValueError, "t_eval: 1.5 lies outside"),
+        ({"t_end": 1, "t_eval": [0.5, 1.5]}, ValueError, "t_eval contains 1.5: expected"),
     ],
 )  # fmt: skip
 def test_refused(given, error, words):

@@ -143,14 +143,14 @@ def test_refused(tmp_path):
     whole = (tmp_path / "run.npz").read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
     for name in ("other.npz", "empty.npz", "half.npz"):
-        with pytest.raises(ValueError, match=f"{name}: neither the journal of a run nor what"):
+        with pytest.raises(ValueError, match=f"{name}: expected the journal of a run"):
             dal.load(tmp_path / name)
     run.save(tmp_path / "run.nc")
     whole = (tmp_path / "run.nc").read_bytes()
     (tmp_path / "half.nc").write_bytes(whole[: len(whole) // 2])
     with pytest.raises((ValueError, OSError)):
         dal.load(tmp_path / "half.nc")
-    with pytest.raises(ValueError, match="is of another one"):
+    with pytest.raises(ValueError, match="belongs to another system"):
         dal.load(tmp_path / "run.npz", dal.systems.particle())
 
 

@@ -463,7 +463,7 @@ def test_coordinates_choose_the_point_also_for_the_library(run):
     film = dal.plot.animate(run, coordinates=[0, 1])
     assert {x.role for x in film._scene.frames[0]} == {"velocity", "dot", "reaction"}
     for wrong in ([0, 3], [0, 1, 2, 0], [], "xy", 1, [-1, 0]):
-        with pytest.raises(ValueError, match="coordinates is .*expected up to three of 0 to 2"):
+        with pytest.raises(ValueError, match="coordinates = .*expected up to three of 0 to 2"):
             dal.plot.animate(run, coordinates=wrong)
 
 
@@ -491,7 +491,7 @@ def test_a_body_of_ones_own(run):
         (lambda q: [], r"expected one of \(t, q, v\)"),
         (lambda t, q, v: None, "body returned None: expected a list of shapes"),
         (lambda t, q, v: [(0, 0)], r"body returned \(0, 0\) in its list: expected shapes"),
-        (lambda t, q, v: [], "there is nothing to draw"),
+        (lambda t, q, v: [], "returned no shapes"),
         (lambda t, q, v: [dot(q[:2], 1)], r"has constraints = \(1,\), the system has m = 1"),
         (lambda t, q, v: [dot(q[:2] * np.nan)], "expected finite numbers"),
         (lambda t, q, v: [dot(q.__iadd__(1)[:2])], "read-only"),
@@ -508,7 +508,7 @@ def test_arguments_that_are_wrong(run):
         ({"seconds": -1}, "seconds = -1: expected positive"),
         ({"fps": 1e9}, "expected at most 5000 frames"),
         ({"fps": float("inf")}, "fps = inf: expected a finite number"),
-        ({"scale": 0}, "scale = 0: expected units of force"),
+        ({"scale": 0}, "scale = 0: expected a positive force"),
         ({"ax": 3}, "ax is a int; expected a matplotlib"),
     ):
         with pytest.raises(ValueError, match=text):
@@ -686,7 +686,7 @@ def test_a_gif_has_the_frames_and_lasts_as_long_as_said(run, tmp_path):
         assert [235, 235, 235] in drawn and [0, 114, 178] in drawn  # the grid, and an outline
         assert image.info["loop"] == 0
     assert sum(durations) == 500 and set(durations) == {30, 40}
-    with pytest.raises(ValueError, match="fps = 60: a GIF has 0.002 to 50 frames a second"):
+    with pytest.raises(ValueError, match="fps = 60: expected 0.002 to 50 frames per second"):
         dal.plot.animate(run, fps=60).save(file)
 
 
@@ -764,7 +764,7 @@ def test_mp4_is_made_by_ffmpeg(run, tmp_path, monkeypatch, ffmpeg):
         film.save(tmp_path / "a.MP4")
     assert (tmp_path / "a.MP4").read_text() == "before"
     monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
-    with pytest.raises(RuntimeError, match=r"a file .mp4 needs the program ffmpeg: apt install"):
+    with pytest.raises(RuntimeError, match=r"an .mp4 file needs the program ffmpeg"):
         film.save(tmp_path / "a.mp4")
     assert not (tmp_path / "a.mp4").exists()
 

@@ -94,7 +94,7 @@ def test_other_runs():
     free = dal.System(mass=[1, 1], force=lambda t, q, v: -v, q0=[0, 0], v0=[1, 1], name="free")
     page = Page(dal.integrate(free, h=0.1, steps=20)._repr_html_())
     assert page.cell("D") == "no constraints"
-    assert page.cell("energy").endswith(", where it is no first integral")
+    assert page.cell("energy").endswith(", where it is not conserved")
     flow = dal.integrate(particle, "reference", h=0.1, steps=20)
     cell = Page(flow._repr_html_()).cell("D")
     assert cell.startswith("kept to roundoff") and cell.endswith("at 21 of 21 states")

@@ -160,7 +160,7 @@ def test_invariants_and_their_drift(subject):
     if system.kind == "linear":
         drifts = [{"energy": run.energy, **drift} for run, drift in zip(runs, drifts)]
     else:
-        assert "The energy is not among them: the constraints do work." in page.words
+        assert "The energy is not conserved: the constraints do work." in page.words
     rows = page.rows[next(k for k, row in enumerate(page.rows) if row[0] == "invariant") + 1 :]
     for row, name in zip(rows, drifts[0]):
         start = drifts[0][name][0]
@@ -305,9 +305,9 @@ def test_a_system_of_the_users_own(tmp_path):
     page = Page(path.read_text("utf-8"))
     Page(index.read_text("utf-8"))
     assert "A thing." in page.words and "Source: Nowhere." in page.words
-    assert "No formulas are known" not in page.words
+    assert "The system has no formulas" not in page.words
     assert "It has x and <b>." in page.words and "alert(1); = 0" in page.words
-    assert "one of the user's own" in page.words and "Reference" not in page.words
+    assert "a user-defined system" in page.words and "Reference" not in page.words
     cell = page.cell("growth vector")  # which the formulas do not say
     assert cell == "(2, 3): D is bracket generating; seen at random points, to 16 digits"
 
@@ -339,7 +339,7 @@ def test_other_kinds(kind):
     assert page.cell("constraints") == ("1, nonlinear" if kind == "nonlinear" else "none")
     assert ("relative residual of the constraints" in page.words) == (kind == "nonlinear")
     reason = {"free": "", "forced": "there is a force", "nonlinear": "the constraints do work"}
-    assert ("The energy is not among them" in page.words) == bool(reason[kind])
+    assert ("The energy is not conserved" in page.words) == bool(reason[kind])
     assert reason[kind] in page.words
 
 
@@ -352,7 +352,7 @@ def test_a_run_that_breaks_off():
     system = dal.System(
         mass=[1, 1, 1], forms=forms, coordinates="xyz", q0=[0, 0, 0], v0=[1, 0, 0], name="wall"
     )
-    assert "It broke off at t = " in Page(dal.pages.page(system)).words
+    assert "It ended early at t = " in Page(dal.pages.page(system)).words
 
 
 # ---- what is refused -----------------------------------------------------------------------------
@@ -367,7 +367,7 @@ def test_refused(tmp_path, monkeypatch):
         (["disk", "disk"], "chosen: disk is there 2 times"),
         (["sleigh", dal.systems.sleigh()], "sleigh is there 2 times"),
         ([bare], "'bare' has no initial data"),
-        ([dal.System(mass=[1], q0=[0], v0=[1], name="index")], "a system is called index"),
+        ([dal.System(mass=[1], q0=[0], v0=[1], name="index")], "the name index is reserved"),
         (["disk", 3], "no system 3"),
     ):
         with pytest.raises(ValueError, match=text):
@@ -405,7 +405,7 @@ def test_without_sympy(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "book").exists()
     monkeypatch.setattr(dal.systems, "names", lambda: ("disk",))
     assert cli.main(["catalogue", str(tmp_path / "book")]) == 0
-    assert "left out, because they need SymPy: cvt, disguised" in capsys.readouterr().err
+    assert "omitted, because SymPy is not installed: cvt, disguised" in capsys.readouterr().err
     page = Page((tmp_path / "book" / "disk.html").read_text("utf-8"))
     assert page.cell("growth vector").startswith("(2, 3, 4): D is bracket generating; seen")
 

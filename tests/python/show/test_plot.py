@@ -366,9 +366,9 @@ def test_bad_arguments_are_named(studies, run):
     with pytest.raises(ValueError, match=r"coordinates is \(0, 3\); expected two of 0 to 2"):
         dal.plot.path(run, coordinates=(0, 3))
     for pair in ((0, -1), (0,), (0, 1, 2), ("x", "y"), (0, 1.5), 5, None):
-        with pytest.raises(ValueError, match=r"coordinates is .*; expected two of 0 to 2"):
+        with pytest.raises(ValueError, match=r"coordinates = .*: expected two of 0 to 2"):
             dal.plot.path(run, coordinates=pair)
-    with pytest.raises(ValueError, match="ax has 3 axes; expected two"):
+    with pytest.raises(ValueError, match="ax has 3 axes: expected two"):
         dal.plot.drift(run, pyplot.subplots(1, 3)[1])
     for draw in (dal.plot.energy, dal.plot.path, lambda run, ax: dal.plot.drift(run, [5, ax])):
         with pytest.raises(ValueError, match=r"ax is a (list|int); expected a matplotlib\.Axes"):

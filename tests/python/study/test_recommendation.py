@@ -40,7 +40,7 @@ def test_it_has_the_accuracy_it_promises(name, t_end, accuracy):
 def test_a_time_too_long_to_try_is_extrapolated():
     system = dal.systems.knife_edge()
     found = dal.recommend(system, t_end=20000, accuracy=1e-4)
-    assert "Tried up to t = " in found.why and "errors grow like t^" in found.why
+    assert "The trials ended at t = " in found.why and "errors grow like t^" in found.why
     error = error_of(system, found, system.exact(20000.0))
     assert error < 10 * found.error and error < 1e-3
 
@@ -57,7 +57,7 @@ def test_errors_of_controlled_steps_are_expected_to_grow_with_the_square(monkeyp
     monkeypatch.setattr(recommendation, "GROWTH", 1.0)  # whatever is seen
     ball = dal.systems.ball_on_table()
     found = dal.recommend(ball, t_end=3000, accuracy=1e-4)
-    end = float(re.search(r"Tried up to t = (\S+)", found.why)[1])
+    end = float(re.search(r"The trials ended at t = (\S+)", found.why)[1])
     x = np.concatenate(ball.exact(end))
     for one in found.tried:
         if one.tolerance is not None:
@@ -72,7 +72,7 @@ def test_what_is_to_come_is_not_left_to_a_large_tolerance():
     push = lambda t, q, v: np.exp(-(((t - 900) / 10) ** 2)) - q
     system = dal.System(mass=[1], force=push, q0=[0], v0=[0])
     found = dal.recommend(system, t_end=1000, accuracy=1e-6)
-    assert "Tried up to t = " in found.why
+    assert "The trials ended at t = " in found.why
     assert all(one.tolerance is None or one.tolerance <= 1e-6 for one in found.tried)
 
 
@@ -107,7 +107,7 @@ def test_mass_that_depends_on_q_forces_and_inputs():
 
 def test_what_it_says():
     found = dal.recommend(dal.systems.knife_edge(), t_end=20, accuracy=1e-6)
-    assert found.why.startswith("It needs the least time of ")
+    assert found.why.startswith("It is the fastest of ")
     accurate = [one for one in found.tried if one.error <= 1e-6]
     assert [one.seconds for one in accurate] == sorted(one.seconds for one in accurate)
     assert found.tried[0] is accurate[0]
@@ -150,19 +150,19 @@ def test_a_run_has_rows_that_can_be_plotted(name, t_end, accuracy, only, monkeyp
 
 
 def test_what_cannot_be_reached_is_said():
-    with pytest.raises(ValueError, match="accuracy = 1e-13: nothing .* the smallest error has"):
+    with pytest.raises(ValueError, match="accuracy = 1e-13: no trial .* the smallest error is"):
         dal.recommend(dal.systems.knife_edge(), t_end=1e6, accuracy=1e-13)
 
 
 @pytest.mark.parametrize(
     "given, words",
     [
-        ({"t_end": 0}, "t_end = 0.0: expected another time"),
+        ({"t_end": 0}, "t_end = 0.0: expected a time other than"),
         ({"t_end": np.nan}, "t_end = nan"),
         ({"t_end": 1, "accuracy": 0}, "accuracy = 0.0: expected 1e-13 to 0.1"),
         ({"t_end": 1, "accuracy": 1}, "accuracy = 1.0: expected"),
         ({"t_end": 1, "q0": [0, 0, 0]}, "q0 without v0"),
-        ({"t_end": 1, "inputs": lambda t, q, v: [1]}, "inputs = .*: expected numbers, held for"),
+        ({"t_end": 1, "inputs": lambda t, q, v: [1]}, "inputs = .*: expected numbers, constant"),
     ],
 )
 def test_refused(given, words):

@@ -685,26 +685,26 @@ def test_html_representation_has_the_table(midpoint, monkeypatch):
         (dict(steps=(10, True)), r"steps\[1\] = True: expected an integer"),
         (dict(steps=(10, "20")), r"steps\[1\] = '20': expected an integer"),
         (dict(steps=(10, 10**30)), rf"steps\[1\] = {10**30}: expected at most"),
-        (dict(steps=(10, 20, 10)), r"steps\[2\] = 10: steps\[0\] is that already"),
-        (dict(steps=[1] * 100_000), r"steps\[1\] = 1: steps\[0\] is that already"),
-        (dict(steps=(10, 991), max_steps=1000), "1001 steps in all.*max_steps=1001"),
-        (dict(t_end=1e9), "2040000000000 steps in all.*--max-steps 2040000000000"),
-        (dict(t_end=1e300, scheme="leapfrog-kl8"), f"in all, more than max_steps = {10**9}"),
+        (dict(steps=(10, 20, 10)), r"steps\[2\] = 10: steps\[0\] has the same value"),
+        (dict(steps=[1] * 100_000), r"steps\[1\] = 1: steps\[0\] has the same value"),
+        (dict(steps=(10, 991), max_steps=1000), "1001 steps in total.*max_steps=1001"),
+        (dict(t_end=1e9), "2040000000000 steps in total.*--max-steps 2040000000000"),
+        (dict(t_end=1e300, scheme="leapfrog-kl8"), f"in total, more than max_steps = {10**9}"),
         (dict(t0=-1e308, t_end=1e308), "t_end - t0 = inf: expected a finite interval"),
         (dict(max_steps=0), "max_steps = 0: expected at least 1"),
         (dict(progress=3), "progress = 3"),
         (dict(system="particle"), "system = 'particle': expected a dalembert.System"),
-        (dict(scheme=[]), r"scheme = \[\]: expected a Scheme, the name of one, or beta"),
+        (dict(scheme=[]), r"scheme = \[\]: expected a Scheme, the name of a scheme"),
         (dict(t_end=0.0), "t_end"),
         (dict(t_end=np.nan), "t_end"),
         *(
-            (dict(system=system, tolerance=tolerance), r"tolerance = .* is not in \[4.4e-16, 0.1\]")
+            (dict(system=system, tolerance=tolerance), r"tolerance = .*: expected a number")
             for system in (dal.systems.chaotic(), dal.systems.particle_oscillator())
             for tolerance in (-1.0, 0, 1e-300, 4.4e-16, 0.2)
         ),
         (dict(q0=[1, 2]), "q0"),
         (dict(initial="D"), "initial = 'D'.*moved nodes"),
-        (dict(scheme="midpoint-nodes"), "initial: needed.*'D_eps'"),
+        (dict(scheme="midpoint-nodes"), "initial is missing.*'D_eps'"),
         (dict(scheme="midpoint-nodes", initial="E"), "initial = 'E': expected one of 'D', 'D_eps'"),
     ],
 )

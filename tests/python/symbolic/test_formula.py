@@ -258,8 +258,8 @@ def test_models_that_cannot_be():
         ("L = v_x^2 + foo(y)",): "foo\\(y\\) is an unknown function",
         ("L = v_x^2/2 + w",): "w is neither a coordinate",
         ("L = v_x^2", "v_y_i = 0"): None,
-        ("L = v_x^2 + y_i",): "an index without a sum",
-        ("L = (v_x, v_y)",): "a list out of place",
+        ("L = v_x^2 + y_i",): "the index belongs to no sum",
+        ("L = (v_x, v_y)",): "a list is out of place",
     }
     for formulas, text in bad.items():
         system = dal.System(formulas=formulas, **plain)

@@ -282,7 +282,7 @@ def test_known_states_are_those_of_the_vectors(name):
 
 
 def test_known_states_of_nothing():
-    with pytest.raises(ValueError, match="no system 'pendulum'; there are particle, "):
+    with pytest.raises(ValueError, match="no system 'pendulum'; choose one of: particle, "):
         dal.systems.known_states("pendulum")
 
 
