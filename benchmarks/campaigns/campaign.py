@@ -84,7 +84,7 @@ class Trial:
         self.mech.calls = 40_000
         self.run = self.integrate()
         if self.run is not None and not case.scheme.is_reference:
-            about_D = [text for text in self.told if "constraint is kept" in text]
+            about_D = [text for text in self.told if "residual of the constraint" in text]
             if self.check_bound() and about_D:
                 self.found("alarm", about_D[0])
             if "step" in case.checks:

@@ -169,8 +169,8 @@ def test_version():
         (("study", "particle", "--scheme", "leapforg"), "did you mean 'leapfrog'"),
         (("study", "particle", "--initial", "D_esp"), "no 'D_esp'; did you mean 'D_eps'"),
         (("study", "knife_edge", "--parameter", "M=1"), "did you mean 'm'"),
-        (("study", "particle", "--q0", "0,1,0", "--no-report"), "q0 without v0: expected both"),
-        (("study", "particle", "--v0", "1,1,1", "--no-report"), "v0 without q0: expected both"),
+        (("study", "particle", "--q0", "0,1,0", "--no-report"), "q0 is given without v0"),
+        (("study", "particle", "--v0", "1,1,1", "--no-report"), "v0 is given without q0"),
         (("study", "particle", "--scheme", "trapezoid"), "leapfrog"),
         (("study", "particle", "--scheme", "no.so:x"), "no.so"),
         (("study", "knife_edge", "--parameter", "weight=3"), "weight"),
@@ -375,7 +375,7 @@ def test_the_run_that_is_recommended(tmp_path, capsys):
     end = dal.reference(system, q0, v0, t0=-1, t=4)
     found = dal.load(tmp_path / "a.npz", system)
     assert np.abs(found.q[-1] - end.q).max() < 1e-5 * (1 + np.abs(end.q).max())
-    for wrong, words in (["--accuracy=9", "accuracy = 9.0"], ["--q0=1,1,1", "q0 without v0"]):
+    for wrong, words in (["--accuracy=9", "accuracy = 9.0"], ["--q0=1,1,1", "without v0"]):
         assert cli.main([*asked, wrong]) == 2
         assert words in capsys.readouterr().err
     assert cli.main(["recommend", "particle"]) == 2

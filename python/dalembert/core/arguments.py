@@ -190,7 +190,7 @@ def units(value: Any, coordinates: Sequence[str]) -> dict[str, str]:
     found, known = mapping(value, "units"), [*coordinates, "t", "energy"]
     for key, unit in found.items():
         if known.count(key) != 1:
-            what = "is a coordinate, too" if key in known else "is not there"
+            what = "is also a coordinate" if key in known else "is unknown"
             expected = ", ".join(x for x in known if known.count(x) == 1)
             hint = "" if key in known else suggestion(key, known)
             raise ValueError(f"units: {shown(key)} {what}; {hint}expected some of {expected}")
@@ -316,8 +316,8 @@ def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:
         result = _reals(value)
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"{name} returned {error}: expected real numbers of shape {shape}"
+            f"{name} returned no real numbers ({error}): expected shape {_shapes([shape])}"
         ) from error
     if result.shape != shape:
-        raise ValueError(f"{name} returned shape {result.shape}: expected {shape}")
+        raise ValueError(f"{name} returned shape {result.shape}: expected {_shapes([shape])}")
     return result

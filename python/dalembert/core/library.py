@@ -80,5 +80,5 @@ class Constant:
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in self.__dict__ and not name.startswith("_"):
-            raise AttributeError(f"{type(self).__name__}.{name} does not change")
+            raise AttributeError(f"{type(self).__name__}.{name} cannot be changed")
         super().__setattr__(name, value)

@@ -71,7 +71,7 @@ class DifferenceMap:
         arguments.function(self.map, "map")
         arguments.function(self.derivatives, "derivatives")
         if self.derivatives is not None and self.map is None:
-            raise ValueError("derivatives without map(h, q0, q1) -> (g, f)")
+            raise ValueError("derivatives are given without map(h, q0, q1) -> (g, f)")
         beta = arguments.number(self.beta, "beta")
         if not 0 <= beta <= 1:
             raise ValueError(f"beta = {beta}: expected a number in [0, 1]")

@@ -232,7 +232,7 @@ def _reading(path: Path) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError:
-        raise StoreError(f"{path} is not there") from None
+        raise StoreError(f"{path} is missing from the store") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         why = "it contains no arrays" if isinstance(error, ValueError) else error
         raise StoreError(

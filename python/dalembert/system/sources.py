@@ -522,7 +522,7 @@ def _require_parts(functions: dict[str, Function | None], mass: Any, timed: bool
         names = [part.split("(")[0] for part in needed.split(" and ")] if needed else []
         if key in given and not given.issuperset(names):
             needed = re.sub(r"\((?!t)", "(t, ", needed) if timed else needed
-            raise ValueError(f"{key} without {needed}")
+            raise ValueError(f"{key} is given without {needed}")
     if "constraint_t" in given and not given & {"forms", "constraint"}:
         raise ValueError("constraint_t is given without forms or constraint")
     if not given & {"mass", "lagrangian"}:
@@ -593,7 +593,7 @@ def _require_linear(functions: dict[str, Function | None], compiled: bool) -> No
                 f"sparsity is given with {key}: expected linear constraints, given by forms only"
             )
     if functions["forms"] is None:
-        raise ValueError("sparsity without forms")
+        raise ValueError("sparsity is given without forms")
 
 
 def _number_of_constraints(

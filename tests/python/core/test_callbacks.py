@@ -144,10 +144,10 @@ def test_an_argument_may_be_returned():
     [
         (5, r"exact returned 5: expected 2 arrays of shape \(2,\)"),
         (None, "returned None: expected"),
-        (([0, 0],), r"it returned \(\[0, 0\],\)"),
+        (([0, 0],), r"returned \(\[0, 0\],\): expected"),
         (([0, 0], [0, 0], 1), "expected 2 arrays"),
-        (([0, 0], "x"), r"exact \(v\) has to return real numbers of shape \(2,\)"),
-        (([0, 0], [0]), r"exact \(v\) has to return shape \(2,\), it returned \(1,\)"),
+        (([0, 0], "x"), r"exact \(v\) returned no real numbers .* shape \(2,\)"),
+        (([0, 0], [0]), r"exact \(v\) returned shape \(1,\): expected \(2,\)"),
     ],
 )
 def test_an_exact_solution_that_is_none_is_named(value, text):
@@ -166,16 +166,16 @@ def test_potential_may_be_any_number(value):
     ("name", "value", "text"),
     [
         ("forms", np.ones(4), r"forms returned shape \(4,\): expected \(2, 4\)"),
-        ("forms", np.ones((4, 2)), r"forms .*\(2, 4\), it returned \(4, 2\)"),
-        ("forms", None, r"forms has to return real numbers of shape \(2, 4\)"),
-        ("forms", [[1, 2], [3]], "forms has to return real numbers"),
-        ("forms", "text", "forms has to return real numbers"),
-        ("forms", 1j * np.ones((2, 4)), "forms has to return real numbers.*complex"),
+        ("forms", np.ones((4, 2)), r"forms returned shape \(4, 2\): expected \(2, 4\)"),
+        ("forms", None, r"forms returned no real numbers .* shape \(2, 4\)"),
+        ("forms", [[1, 2], [3]], "forms returned no real numbers"),
+        ("forms", "text", "forms returned no real numbers"),
+        ("forms", 1j * np.ones((2, 4)), "forms returned no real numbers .*complex"),
         ("forms_velocity_derivative", np.ones((2, 3)), r"velocity_derivative .*\(2, 3\)"),
-        ("gradient", np.ones((4, 1)), r"gradient has to return shape \(4,\), it .*\(4, 1\)"),
-        ("gradient", 0.0, r"gradient has to return shape \(4,\), it returned \(\)"),
-        ("hessian", np.ones(4), r"hessian has to return shape \(4, 4\), it returned \(4,\)"),
-        ("potential", np.ones(1), r"potential has to return shape \(\), it returned \(1,\)"),
+        ("gradient", np.ones((4, 1)), r"gradient returned shape \(4, 1\): expected \(4,\)"),
+        ("gradient", 0.0, r"gradient returned shape \(\): expected \(4,\)"),
+        ("hessian", np.ones(4), r"hessian returned shape \(4,\): expected \(4, 4\)"),
+        ("potential", np.ones(1), r"potential returned shape \(1,\): expected \(\)"),
     ],
 )
 def test_wrong_shapes_name_the_function(own, name, value, text):
@@ -368,7 +368,7 @@ def test_an_observer_may_stop(particle, scheme, at):
 
 @pytest.mark.parametrize("scheme", ["midpoint", "reference"])
 def test_an_observer_says_whether_to_stop(particle, scheme):
-    text = r"observer has to return whether to stop, it returned array\(\[0\., 1\.\]\)"
+    text = r"observer returned array\(\[0\., 1\.\]\): expected True"
     with pytest.raises(ValueError, match=text):
         dal.integrate(particle, scheme, h=0.1, steps=3, observer=lambda *_: np.arange(2.0))
 
@@ -535,7 +535,7 @@ def test_what_is_not_finite_is_named_as_the_user_named_it(own, name, entry, text
     "wrong, message",
     [
         (dict(forms=lambda q: [[-q[1], 0, 1], [1, 0]]), r"^forms has.*rows of different lengths"),
-        (dict(forms=lambda q: None), "^forms returned None: expected"),
+        (dict(forms=lambda q: None), "^forms returned no real numbers .None.: expected"),
         (dict(forms=lambda q, v: [[0, 0, 1]]), r"^forms is a function of \(q, v\).*one of \(q\)"),
         (dict(force=lambda q, v: -v), r"^force is a function of \(q, v\).*one of \(t, q, v\)"),
         (dict(forms_velocity_derivative=lambda q: 0), "^forms_velocity_derivative is a function"),

@@ -293,10 +293,10 @@ def test_exceptions_of_a_map_come_back(particle):
 @pytest.mark.parametrize(
     ("map", "text"),
     [
-        (lambda h, q0, q1: q0, r"map has to return 2 arrays of shape \(3,\)"),
-        (lambda h, q0, q1: 1.0, r"map has to return 2 arrays of shape \(3,\)"),
-        (lambda h, q0, q1: (q0, q1[:2]), r"map \(f\) has to return shape \(3,\)"),
-        (lambda h, q0, q1: ("a", q1), r"map \(g\) has to return real numbers"),
+        (lambda h, q0, q1: q0, r"map returned .*: expected 2 arrays of shape \(3,\)"),
+        (lambda h, q0, q1: 1.0, r"map returned .*: expected 2 arrays of shape \(3,\)"),
+        (lambda h, q0, q1: (q0, q1[:2]), r"map \(f\) returned shape .*: expected \(3,\)"),
+        (lambda h, q0, q1: ("a", q1), r"map \(g\) returned no real numbers"),
     ],
 )
 def test_what_a_map_returns(particle, map, text):
@@ -310,7 +310,7 @@ def test_what_derivatives_return(particle):
         return np.eye(3), np.eye(3), np.eye(2), np.eye(3)
 
     discrete = dal.Discrete(particle, dal.DifferenceMap(map=bent, derivatives=derivatives))
-    with pytest.raises(ValueError, match=r"derivatives \(df/dq0\) has to return shape \(3, 3\)"):
+    with pytest.raises(ValueError, match=r"\(df/dq0\) returned shape .*: expected \(3, 3\)"):
         discrete.lagrangian_derivatives(0.1, [0, 0, 0], [1, 1, 1])
     nan = dal.DifferenceMap(map=lambda h, q0, q1: (q0, q1 * np.nan))
     with pytest.raises(dal.DomainError, match="difference map: f"):
@@ -341,7 +341,7 @@ def test_arguments(particle):
         dal.Discrete("particle")
     with pytest.raises(ValueError, match=r"beta = -0.5"):
         dal.DifferenceMap(-0.5)
-    with pytest.raises(ValueError, match="derivatives without map"):
+    with pytest.raises(ValueError, match="derivatives are given without map"):
         dal.DifferenceMap(derivatives=bent_derivatives)
     with pytest.raises(ValueError, match="map = 3"):
         dal.DifferenceMap(map=3)

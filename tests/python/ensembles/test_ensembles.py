@@ -590,7 +590,7 @@ def test_a_member_is_named_by_its_number_or_its_place_along_the_axes():
         ((3, 0), r"k\[0\] = 3: expected at most 2"),
         ((0, -3), r"k\[1\] = -3: expected at least -2"),
         ((0, 0.5), r"k\[1\] = 0.5: expected an integer"),
-        ((1,), r"k = \(1,\): expected a number or, of the axes, 2 numbers"),
+        ((1,), r"k = \(1,\): expected a number, or 2 numbers"),
     ):
         with pytest.raises(ValueError, match=text):
             found.member(place)

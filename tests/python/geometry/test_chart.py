@@ -285,7 +285,7 @@ def test_no_constraint():
         (lambda c: c.step([0, 0, 0, 1, 1], h=0.1, beta=2), "beta = 2"),
         (lambda c: c.multipliers([0] * 3, [0] * 3, [1, 2]), r"multipliers: expected shape \(1,\)"),
         (lambda c: c.curve([0, 0, 0], [0, 0, 0], [0, 0], [0, 0, 0], 0), "q2: expected shape"),
-        (lambda c: dal.Chart(c.system, dependent="w"), "no coordinate 'w'; there are x, y, z"),
+        (lambda c: dal.Chart(c.system, dependent="w"), "no coordinate 'w'; choose from x, y, z"),
         (lambda c: dal.Chart(c.system, dependent="zz"), "did you mean 'z'"),
         (lambda c: dal.Chart(c.system, dependent=3), "dependent = 3: expected m = 1 names"),
         (lambda c: dal.Chart(c.system, v=[0, 0, 0]), "v without q"),

@@ -167,7 +167,7 @@ def test_no_consistent_velocity():
 @pytest.mark.parametrize(
     ("keep", "text"),
     [
-        ("nowhere", "there is no coordinate 'nowhere'; there are q0, q1, q2, q3"),
+        ("nowhere", "there is no coordinate 'nowhere'; choose from q0, q1, q2, q3"),
         (["q0", "nowhere"], "there is no coordinate 'nowhere'"),
         ("", "there is no coordinate ''"),
         ([True, False], "keep: expected 4 values True or False, got 2"),
@@ -189,7 +189,7 @@ def test_states_are_named_in_errors(own):
     system = own.system()
     for q, v, text in (
         ([0, 1], own.v0(), "q0: expected shape (4,) or (N, 4), got (2,)"),
-        (own.q0, [own.v0()], "v0: expected shape (4,) as q0 has, got (1, 4)"),
+        (own.q0, [own.v0()], "v0: expected shape (4,), as for q0, got (1, 4)"),
         (own.q0, [1, np.inf, 0, 0], "v0[1] = inf"),
     ):
         with pytest.raises(ValueError, match=re.escape(text)):
@@ -248,7 +248,7 @@ def test_inputs_are_not_changed(particle):
     ("q", "v", "text"),
     [
         ([0, 1], [1, 1, 1], r"q: expected shape \(3,\) or \(N, 3\), got \(2,\)"),
-        ([0, 1, 0], [[1, 1, 1]], r"v: expected shape \(3,\) as q has, got \(1, 3\)"),
+        ([0, 1, 0], [[1, 1, 1]], r"v: expected shape \(3,\), as for q, got \(1, 3\)"),
         ([0, np.nan, 0], [1, 1, 1], r"q\[1\] = nan"),
         ([0, 1, 0], [1, 1, np.inf], r"v\[2\] = inf"),
         ([0, 1j, 0], [1, 1, 1], "q: expected real numbers"),

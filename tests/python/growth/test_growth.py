@@ -501,7 +501,7 @@ def test_functions_that_are_not_smooth():
     system = dal.System(mass=np.ones(4), forms=lambda q: [[-abs(q[1]), 0, 1, 0], [-q[2], 0, 0, 1]])
     report = system.check(np.zeros(4), np.zeros(4))
     assert report.growth is None and report.general_growth == (2, 3, 4)
-    assert "not known; mu does not seem to be smooth there" in str(report)
+    assert "not known; mu does not appear to be smooth there" in str(report)
 
 
 def test_functions_need_no_sympy():

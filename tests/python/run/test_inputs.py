@@ -135,7 +135,7 @@ def test_description():
     [
         (lambda x, u, w: {"inputs": [u]}, "inputs: u does not act"),
         (lambda x, u, w: {"inputs": [u, w], "force": {x: u}}, "inputs: w does not act"),
-        (lambda x, u, w: {"inputs": [u, u], "force": {x: u}}, "inputs: u is there twice"),
+        (lambda x, u, w: {"inputs": [u, u], "force": {x: u}}, "inputs: u occurs twice"),
         (lambda x, u, w: {"inputs": ["u"], "force": {x: u}}, "'u': expected a symbol"),
         (lambda x, u, w: {"inputs": "u", "force": {x: u}}, "inputs = 'u': expected a sequence"),
         (lambda x, u, w: {"inputs": [w], "force": {x: w * u}}, "force.*: u is neither"),
@@ -146,7 +146,7 @@ def test_description():
         ),
         (
             lambda x, u, w: {"inputs": [u], "q0": [u, 0], "v0": [0, 0], "force": {x: u}},
-            "u is an input; only forces and constraints",
+            "the input u: only forces and constraints",
         ),
     ],
 )
@@ -372,16 +372,16 @@ def test_refused_laws():
     x, _, theta = dal.coordinates("x y theta")
     for given, text in (
         ({"left": x}, "inputs: right is missing; expected left, right"),
-        ({"left": x, "rigt": 1}, "inputs: rigt is no input; did you mean 'right'"),
+        ({"left": x, "rigt": 1}, "inputs: rigt is not an input; did you mean 'right'"),
         ({"left": x, "right": [1, 2]}, r"inputs\['right'\]"),
         ({"left": x, "right": sympy.Symbol("w")}, r"inputs\['right'\]: w is neither a coordinate"),
         ({"left": sympy.sqrt(-theta), "right": 0}, r"inputs of step 1 \(t = 0\): u\[0\] = -?nan"),
     ):
         with pytest.raises(ValueError, match=text):
             dal.integrate(from_sympy(), h=0.1, steps=4, inputs=given)
-    with pytest.raises(ValueError, match="left is no input; expected none"):
+    with pytest.raises(ValueError, match="left is not an input; expected none"):
         dal.integrate(dal.systems.particle(), h=0.1, steps=4, inputs={"left": x})
-    with pytest.raises(ValueError, match="hold: needed with h = 'auto'"):
+    with pytest.raises(ValueError, match="hold is missing: with h = 'auto'"):
         dal.integrate(from_sympy(), h="auto", t_end=1, inputs={"left": x, "right": 0})
 
 
@@ -512,7 +512,7 @@ def test_states_between_kept_nodes_are_refused():
     run = dal.integrate(
         system, "explicit-nodes", h=0.1, steps=4, inputs=[1.0], initial="project"
     )
-    with pytest.raises(ValueError, match="t: between states of 'explicit-nodes' with inputs"):
+    with pytest.raises(ValueError, match="between those of 'explicit-nodes' with inputs"):
         run(0.05)
 
 

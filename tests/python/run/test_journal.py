@@ -388,7 +388,7 @@ def test_another_system(tmp_path):
     dal.integrate(own, h=0.05, steps=10, journal=path)
     with pytest.raises(ValueError, match="does not come with the library, 'sleigh'"):
         dal.load(path)
-    with pytest.raises(ValueError, match="is of one with a = 0.2, this has a = 0.3"):
+    with pytest.raises(ValueError, match="belongs to one with a = 0.2, but this one has a = 0.3"):
         dal.load(path, own.with_parameters(a=0.3))
     with pytest.raises(ValueError, match="another system, 'sleigh', not to <System particle"):
         dal.resume(path, dal.systems.particle())
@@ -460,7 +460,7 @@ def test_expressions_of_inputs_are_compared(tmp_path):
     dal.integrate(mass, h=0.05, steps=20, inputs=law, journal=path)
     for other, text in (
         ({push: -x - x.d / 4}, r"has inputs\['push'\] = -x - x.d/3, but these are .* = -x - x.d/4"),
-        (lambda t, q, v: -q - v / 3, "and these are no expressions; expected the same"),
+        (lambda t, q, v: -q - v / 3, "but these are no expressions; expected the same"),
         (None, "inputs is missing"),
     ):
         with pytest.raises(ValueError, match=text):
@@ -468,7 +468,7 @@ def test_expressions_of_inputs_are_compared(tmp_path):
     longer = dal.resume(path, mass, steps=40, inputs=law)
     assert_same(longer, dal.integrate(mass, h=0.05, steps=40, inputs=law))
     dal.integrate(mass, h=0.05, steps=20, inputs=lambda t, q, v: -q, journal=tmp_path / "other")
-    with pytest.raises(ValueError, match="has no expressions, and these are"):
+    with pytest.raises(ValueError, match="has no expressions, but these are"):
         dal.resume(tmp_path / "other", mass, steps=40, inputs=law)
 
 
@@ -589,7 +589,7 @@ def test_a_damaged_end(tmp_path):
         found = dal.load(path)
     assert told[0].filename == __file__
     np.testing.assert_array_equal(found.x, whole.x[:47])
-    with pytest.warns(dal.DalembertWarning, match="its last 52 bytes") as told:
+    with pytest.warns(dal.DalembertWarning, match="the last 52 bytes") as told:
         assert_same(dal.resume(path), whole)
     assert told[0].filename == __file__
     assert path.stat().st_size == len(content)

@@ -203,7 +203,7 @@ def test_a_chart_and_an_embedding_do_not_change(particle):
         (embedding, "start", np.zeros(2)),
         (embedding, "h", 0.2),
     ):
-        with pytest.raises(AttributeError, match=f"{type(thing).__name__}.{name} does not change"):
+        with pytest.raises(AttributeError, match=f"{type(thing).__name__}.{name} cannot be"):
             setattr(thing, name, value)
     assert copy.deepcopy(chart).system is particle
 

@@ -441,7 +441,7 @@ def test_refused_eps():
 @pytest.mark.parametrize(
     "given, error, words",
     [
-        ({}, ValueError, "t_end: needed with h = 'auto'"),
+        ({}, ValueError, "t_end is missing: with h = 'auto'"),
         ({"t_end": 1, "steps": 10}, ValueError, "steps = 10 has no effect with h = 'auto'"),
         ({"t_end": np.inf}, ValueError, "t_end = inf"),
         ({"t_end": 1, "tolerance": 1e-15}, ValueError, "^tolerance = 1e-15: expected a number"),
@@ -465,7 +465,7 @@ def test_refused(given, error, words):
 
 
 def test_refused_inputs(cart):
-    with pytest.raises(ValueError, match="hold: needed with h = 'auto'"):
+    with pytest.raises(ValueError, match="hold is missing: with h = 'auto'"):
         dal.integrate(cart, h="auto", t_end=1, inputs=lambda t, q, v: [1])
     with pytest.raises(ValueError, match="hold = -1.0: expected a positive time"):
         dal.integrate(cart, h="auto", t_end=1, inputs=[1], hold=-1)

@@ -115,7 +115,7 @@ def test_xarray_units():
     assert data.unit.sel(coordinate="y").item() == ""
     assert "coordinates" in data.q.attrs["long_name"]
     np.testing.assert_array_equal(data.inputs.sel(input="turn"), run.inputs[:, 1])
-    with pytest.raises(ValueError, match="units: 'z' is not there; expected some of x, y, theta"):
+    with pytest.raises(ValueError, match="units: 'z' is unknown; expected some of x, y, theta"):
         run.to_xarray(units={"z": "m"})
 
 

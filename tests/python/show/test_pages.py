@@ -362,17 +362,17 @@ def test_refused(tmp_path, monkeypatch):
     target = tmp_path / "catalogue"
     bare = dal.System(mass=[1, 1], name="bare")
     for chosen, text in (
-        (["pendulum"], "no system 'pendulum'; there are particle, "),
+        (["pendulum"], "no system 'pendulum'; choose one of: particle, "),
         ([], "chosen is empty"),
-        (["disk", "disk"], "chosen: disk is there 2 times"),
-        (["sleigh", dal.systems.sleigh()], "sleigh is there 2 times"),
-        ([bare], "'bare' has no initial data"),
+        (["disk", "disk"], "chosen: disk occurs 2 times"),
+        (["sleigh", dal.systems.sleigh()], "sleigh occurs 2 times"),
+        ([bare], "'bare' has no default initial data"),
         ([dal.System(mass=[1], q0=[0], v0=[1], name="index")], "the name index is reserved"),
         (["disk", 3], "no system 3"),
     ):
         with pytest.raises(ValueError, match=text):
             dal.pages.write(target, chosen)
-    with pytest.raises(ValueError, match="'bare' has no initial data"):
+    with pytest.raises(ValueError, match="'bare' has no default initial data"):
         dal.pages.page(bare)
     with pytest.raises(ValueError, match="system = 3"):
         dal.pages.page(3)
@@ -436,7 +436,7 @@ def test_command(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "status", "text"),
     [
-        (("--system", "pendulum"), 2, "no system 'pendulum'; there are particle"),
+        (("--system", "pendulum"), 2, "no system 'pendulum'; choose one of: particle"),
         (("no/where", "--system", "disk"), 2, "no/where: there is no folder no"),
         (("file", "--system", "disk"), 2, "file: this is a file"),
         (("one", "two"), 2, "unrecognized arguments: two"),

@@ -357,7 +357,7 @@ def test_styles_of_the_caller_are_used(studies):
 
 
 def test_bad_arguments_are_named(studies, run):
-    with pytest.raises(ValueError, match="quantity is 'p'; expected one of state, q, v"):
+    with pytest.raises(ValueError, match="quantity = 'p': expected one of state, q, v"):
         dal.plot.convergence(studies, quantity="p")
     with pytest.raises(ValueError, match="study is empty"):
         dal.plot.convergence([])

@@ -329,7 +329,7 @@ def test_a_failure_is_said_first(tmp_path):
     studies = dal.studies(dal.systems.particle(), [claim, "midpoint"], steps=STEPS)
     text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
     Page(text)
-    assert "&lt;claims&gt; 3 does not deliver what is promised" in text
+    assert "&lt;claims&gt; 3 fails" in text
     verdict = text.index('<p class="verdict fails">')
     assert verdict < text.index("Does not hold") < text.index("<h2>")
     assert '<td class="left fails">fails</td>' in text and "<claims>" not in text
@@ -344,7 +344,7 @@ def test_a_system_of_the_users_own(name, tmp_path):
     text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
     words = Page(text).words
     assert "a user-defined system" in words and f"dalembert study {name}" not in words
-    assert "No formulas are known: the system is made of a constant mass, forms." in words
+    assert "The system has no formulas, because it is defined by a constant mass, forms." in words
     assert "constraints: 1 linear constraint." in words and "<math" in text
 
 

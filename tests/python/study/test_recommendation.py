@@ -161,7 +161,7 @@ def test_what_cannot_be_reached_is_said():
         ({"t_end": np.nan}, "t_end = nan"),
         ({"t_end": 1, "accuracy": 0}, "accuracy = 0.0: expected 1e-13 to 0.1"),
         ({"t_end": 1, "accuracy": 1}, "accuracy = 1.0: expected"),
-        ({"t_end": 1, "q0": [0, 0, 0]}, "q0 without v0"),
+        ({"t_end": 1, "q0": [0, 0, 0]}, "q0 is given without v0"),
         ({"t_end": 1, "inputs": lambda t, q, v: [1]}, "inputs = .*: expected numbers, constant"),
     ],
 )

@@ -307,8 +307,8 @@ def test_journals_and_pickles(tmp_path):
     ({"sparsity": ([0, 0], [3, 2])}, r"entry 1, \(0, 2\), comes after \(0, 3\)"),
     ({"sparsity": ([0, 0], [3, 7])}, r"entry 1, \(0, 7\), is outside"),
     ({"sparsity": coo_array(np.ones(6))}, r"expected shape \(m, 6\), got \(6,\)"),
-    ({"sparsity": np.ones((2, 6)), "affine": lambda q: [0, 0]}, "sparsity with affine"),
-    ({"sparsity": np.ones((2, 6)), "forms": None}, "sparsity without forms"),
+    ({"sparsity": np.ones((2, 6)), "affine": lambda q: [0, 0]}, "sparsity is given with affine"),
+    ({"sparsity": np.ones((2, 6)), "forms": None}, "sparsity is given without forms"),
 ])  # fmt: skip
 def test_refused(given, text):
     options = {"forms": lambda q: np.zeros(12), "mass": np.ones(6)} | given

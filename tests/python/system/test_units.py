@@ -67,9 +67,9 @@ def test_a_coordinate_that_is_called_as_a_velocity():
 @pytest.mark.parametrize(
     ("units", "text"),
     [
-        ({"q": "m"}, "units: 'q' is not there; expected some of x, y, z, t, energy"),
+        ({"q": "m"}, "units: 'q' is unknown; expected some of x, y, z, t, energy"),
         ({"energi": "J"}, "did you mean 'energy'?"),
-        ({3: "m"}, "units: 3 is not there"),
+        ({3: "m"}, "units: 3 is unknown"),
         ({"x": 3}, r"units\['x'\] = 3: expected the name of a unit"),
         ({"x": ""}, r"units\['x'\] = ''"),
         ({"x": "m\ns"}, r"units\['x'\] = 'm\\ns'"),
@@ -86,7 +86,7 @@ def test_refused(units, text):
 
 
 def test_a_coordinate_that_is_called_as_the_time():
-    with pytest.raises(ValueError, match="units: 't' is a coordinate, too; expected some of x, en"):
+    with pytest.raises(ValueError, match="units: 't' is also a coordinate; expected some of x, en"):
         dal.System(mass=[1, 1], coordinates=["x", "t"], units={"t": "s"})
 
 
@@ -128,7 +128,7 @@ def test_files(name, sleigh, run, tmp_path):
     assert dal.load(path, dal.systems.sleigh()).system.units == UNITS
     some = dal.load(path, dal.systems.sleigh().with_units(x="m"))
     assert some.system.units == UNITS and np.array_equal(some.x, run.x)
-    with pytest.raises(ValueError, match="has x in m, this one in mm"):
+    with pytest.raises(ValueError, match="has x in m, but this system has it in mm"):
         dal.load(path, dal.systems.sleigh().with_units(x="mm"))
 
 
@@ -145,7 +145,7 @@ def test_ensembles_keep_them(sleigh, tmp_path):
     dal.ensemble(sleigh, store=path, **given)
     assert dal.open_ensemble(path).system.units == UNITS
     dal.ensemble(dal.systems.sleigh(), store=path, **given)  # the same, whoever says the units
-    with pytest.raises(ValueError, match="has t in s, this one in h"):
+    with pytest.raises(ValueError, match="has t in s, but this system has it in h"):
         dal.ensemble(sleigh.with_units(t="h"), store=path, **given)
 
 
