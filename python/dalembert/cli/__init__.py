@@ -163,7 +163,7 @@ def _add_study_options(study: argparse.ArgumentParser) -> None:
     add, written = study.add_argument, study.add_mutually_exclusive_group()
     add("system", metavar="MODEL", help=runs.MODEL)
     add("--scheme", action="append", metavar="NAME",
-        help="scheme: a name listed by `dalembert schemes`, or a number beta (repeatable; default: "
+        help="name of a scheme, see `dalembert schemes`, or a number beta (repeatable; default: "
         "all)")
     add("--parameter", action="append", default=[], type=_read("NAME=NUMBER", _parameter),
         metavar="NAME=VALUE", help="set a parameter of the system (repeatable)")

@@ -38,7 +38,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     add("model", metavar="MODEL", help=runs.MODEL)
     add("--grid", action="append", default=[], type=axis, metavar="NAME=A:B:N|X,Y,...", help=_GRID)
     add("--scheme", metavar="NAME",
-        help="scheme: a name listed by `dalembert schemes`, or a number beta (default: the "
+        help="name of a scheme, see `dalembert schemes`, or a number beta (default: the "
         "cheapest of order 2, leapfrog or midpoint)")
     add("--parameter", action="append", default=[], type=parameter, metavar="NAME=VALUE",
         help="set a parameter of all members (repeatable)")

@@ -21,13 +21,16 @@ from ..run.storage import SUFFIXES, require_suffix
 from ..study.recommendation import recommend
 from ..system import System
 
-MODEL = "a name listed by `dalembert systems`, or FILE.py:NAME of a System or of a function for one"
+MODEL = (
+    "system: a name listed by `dalembert systems`, or FILE.py:NAME, where NAME is a System or a "
+    "function that returns one"
+)
 CONSISTENT = (
     "initial velocities that violate the constraint: raise an error (check, the default), project "
     "them, or use them unchanged (assume)"
 )
 KEPT_NODES = "initial data of a scheme with kept nodes"
-_OUTPUT = f"write the run to a file that ends in {', '.join(SUFFIXES)}"
+_OUTPUT = f"write the run to a file with a name that ends in {' or '.join(SUFFIXES)}"
 
 
 def add(commands: Any, numbers: Any, parameter: Any) -> None:
@@ -55,15 +58,15 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
                         help="largest admissible error of the state at T, relative to 1 + |x| "
                         "(default: 1e-6)")
     run.add_argument("--scheme", metavar="NAME",
-                     help="scheme: a name listed by `dalembert schemes`, or a number beta "
+                     help="name of a scheme, see `dalembert schemes`, or a number beta "
                      "(default: the cheapest of order 2, leapfrog or midpoint; with --h auto its "
                      "composition kl8)")
     run.add_argument("--h", type=_step, required=True, metavar="H",
                      help="step size: a number, auto (as long as the tolerance allows) or "
                      "reversible")
     run.add_argument("--tolerance", type=float, metavar="E",
-                     help="tolerance of the step with --h auto (default: 1e-9), or of the scheme "
-                     "reference (default: 1e-13)")
+                     help="error tolerance of --h auto (default: 1e-9), or of the scheme reference "
+                     "(default: 1e-13)")
     run.add_argument("--eps", type=float, metavar="E",
                      help="size of the steps with --h reversible, in units of the time scale of "
                      "the motion (at most 0.2)")
@@ -127,7 +130,7 @@ def add_end(command: Any, *, required: bool) -> None:
 
 def _add_model(command: Any) -> None:
     command.add_argument("model", metavar="MODEL", nargs="?",
-                         help=f"system, if it is not a built-in one: {MODEL}")
+                         help="FILE.py:NAME of the system, if it is not a built-in one")
 
 
 def _add_file(command: Any) -> None:

@@ -288,7 +288,7 @@ def test_no_constraint():
         (lambda c: dal.Chart(c.system, dependent="w"), "no coordinate 'w'; choose from x, y, z"),
         (lambda c: dal.Chart(c.system, dependent="zz"), "did you mean 'z'"),
         (lambda c: dal.Chart(c.system, dependent=3), "dependent = 3: expected m = 1 names"),
-        (lambda c: dal.Chart(c.system, v=[0, 0, 0]), "v without q"),
+        (lambda c: dal.Chart(c.system, v=[0, 0, 0]), "v is given without q"),
         (lambda c: dal.Chart(c.system, dependent=["x", "z"]), "expected m = 1 names"),
         (lambda c: dal.Chart(None), "system"),
     ],

@@ -258,10 +258,10 @@ def test_t_eval_with_forces_in_time_and_inputs():
     [
         ({"events": "x"}, "events = 'x': expected a sequence"),
         ({"events": [3]}, r"events\[0\] = 3"),
-        ({"events": [lambda t, q: 1.0]}, r"expected one of \(t, q, v\)"),
+        ({"events": [lambda t, q: 1.0]}, r"expected a function of \(t, q, v\)"),
         ({"events": [sympy.Symbol("w")]}, r"events\[0\]: w is neither"),
-        ({"events": [sympy.Symbol("x") > 1]}, r"events\[0\] = x > 1: a condition"),
-        ({"events": [sympy.Eq(sympy.Symbol("x"), 1)]}, r"events\[0\] = Eq\(x, 1\): a condition"),
+        ({"events": [sympy.Symbol("x") > 1]}, r"events\[0\] = x > 1 is a condition"),
+        ({"events": [sympy.Eq(sympy.Symbol("x"), 1)]}, r"events\[0\] = Eq\(x, 1\) is a condition"),
         ({"events": [lambda t, q, v: q[0] > 1]}, r"events\[0\] returned False, a condition"),
         ({"events": [lambda t, q, v: bool(q[0] < 1)]}, r"events\[0\] returned True, a condition"),
         ({"events": [dal.Event(through, terminal=-1)]}, r"events\[0\].terminal = -1"),

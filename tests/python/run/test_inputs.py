@@ -133,16 +133,16 @@ def test_description():
 @pytest.mark.parametrize(
     "make, text",
     [
-        (lambda x, u, w: {"inputs": [u]}, "inputs: u does not act"),
-        (lambda x, u, w: {"inputs": [u, w], "force": {x: u}}, "inputs: w does not act"),
+        (lambda x, u, w: {"inputs": [u]}, "inputs: u has no effect"),
+        (lambda x, u, w: {"inputs": [u, w], "force": {x: u}}, "inputs: w has no effect"),
         (lambda x, u, w: {"inputs": [u, u], "force": {x: u}}, "inputs: u occurs twice"),
         (lambda x, u, w: {"inputs": ["u"], "force": {x: u}}, "'u': expected a symbol"),
         (lambda x, u, w: {"inputs": "u", "force": {x: u}}, "inputs = 'u': expected a sequence"),
         (lambda x, u, w: {"inputs": [w], "force": {x: w * u}}, "force.*: u is neither"),
-        (lambda x, u, w: {"inputs": [u], "force": {x: u}, "parameters": {u: 1}}, "u is the name"),
+        (lambda x, u, w: {"inputs": [u], "force": {x: u}, "parameters": {u: 1}}, "u is also"),
         (
             lambda x, u, w: {"inputs": [u], "constraints": [x.d - w], "parameters": {w: 1}},
-            "inputs: u does not act",
+            "inputs: u has no effect",
         ),
         (
             lambda x, u, w: {"inputs": [u], "q0": [u, 0], "v0": [0, 0], "force": {x: u}},
@@ -299,7 +299,7 @@ def test_a_controller_that_fails(cart):
         ({"inputs": lambda t, q, v: None}, r"inputs returned None: expected shape \(2,\)"),
         ({"inputs": lambda t, q, v: np.array([1.0, np.inf])}, r"step 1 \(t = 0\): u\[1\] = inf"),
         ({"inputs": lambda t, q, v: np.ones(3)}, r"inputs returned shape \(3,\)"),
-        ({"inputs": lambda t: [1.0, 1.0]}, r"expected one of \(t, q, v\)"),
+        ({"inputs": lambda t: [1.0, 1.0]}, r"a function of \(t, q, v\)"),
         ({"inputs": {"left": 1.0}}, "right is missing"),
         ({"hold": 2}, "hold = 2 has no effect without inputs"),
         ({"inputs": [0.0, 0.0], "hold": 0}, "hold = 0"),
@@ -1002,7 +1002,7 @@ def test_refused_driven_systems():
     for given, text in (
         ({"forms": lambda q, u: [[1.0]]}, "driven = True: expected inputs"),
         ({"inputs": 1}, "driven = True: expected constraints"),
-        ({"inputs": 1, "forms": lambda q: [[1.0]]}, r"expected one of \(q, u\)"),
+        ({"inputs": 1, "forms": lambda q: [[1.0]]}, r"a function of \(q, u\)"),
     ):
         with pytest.raises(ValueError, match=text):
             dal.System(mass=[1.0], driven=True, **given)

@@ -278,9 +278,9 @@ def test_what_has_no_series():
 
 def test_what_it_does_not_take():
     cvt, given = dal.systems.cvt(), {"h": 0.1, "t_end": 1, "method": "taylor"}
-    with pytest.raises(ValueError, match="'sleigh' is not from expressions"):
+    with pytest.raises(ValueError, match="'sleigh' has no expressions"):
         dal.integrate(dal.systems.sleigh(), "reference", **given)
-    with pytest.raises(ValueError, match="'sleigh' is not from expressions"):
+    with pytest.raises(ValueError, match="'sleigh' has no expressions"):
         dal.reference(dal.systems.sleigh(), method="taylor")
     for name, value in {
         "events": [lambda t, q, v: q[0]], "inputs": np.zeros((10, 1)), "journal": "run.dal",

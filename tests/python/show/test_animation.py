@@ -430,7 +430,7 @@ def test_a_run_of_one_state_and_one_that_broke_off():
     assert not part.success
     film = dal.plot.animate(part)
     assert film.t[-1] == part.t[-1] < 1.1
-    assert "it broke off: " in page_of(film)
+    assert "it ended early: " in page_of(film)
 
 
 def test_a_body_at_rest_and_a_path_along_an_axis():
@@ -488,7 +488,7 @@ def test_a_body_of_ones_own(run):
     ("body", "text"),
     [
         ("sleigh", "body = 'sleigh': expected a function"),
-        (lambda q: [], r"expected one of \(t, q, v\)"),
+        (lambda q: [], r"a function of \(t, q, v\)"),
         (lambda t, q, v: None, "body returned None: expected a list of shapes"),
         (lambda t, q, v: [(0, 0)], r"body returned \(0, 0\) in its list: expected shapes"),
         (lambda t, q, v: [], "returned no shapes"),
@@ -586,7 +586,7 @@ def test_curves_of_a_run_at_a_late_time():
 def test_axes_that_are_no_plane(run):
     figure = pyplot.figure()
     for projection in ("3d", "polar"):
-        with pytest.raises(ValueError, match=f"projection '{projection}'; expected axes of the"):
+        with pytest.raises(ValueError, match=f"projection '{projection}': expected plane"):
             dal.plot.animate(run, ax=figure.add_subplot(projection=projection))
     part, _ = figure.subfigures(1, 2)
     dal.plot.snapshots(run, ax=part.subplots())

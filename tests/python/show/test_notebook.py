@@ -55,7 +55,7 @@ def test_a_system(shown, sleigh):
     assert page.cell("parameters") == "m = 1.5, J = 0.8, a = 0.4"
     assert page.cell("starts at") == "0, 0, 0.3" and page.tags.count("math") > 4
     bare = Page(dal.System(mass=[2], coordinates=["x"])._repr_html_())
-    assert "made of a constant mass" in bare.words and bare.cell("constraints") == "none"
+    assert "defined by a constant mass" in bare.words and bare.cell("constraints") == "none"
     assert "starts at" not in bare.words and "parameters" not in bare.words
     many = dal.System(mass=1.0, n=30, force=lambda t, q, v, u: u[0] * v, inputs=["u"])
     page = Page(many._repr_html_())

@@ -363,7 +363,7 @@ def test_bad_arguments_are_named(studies, run):
         dal.plot.convergence([])
     with pytest.raises(ValueError, match="solution is empty"):
         dal.plot.energy([])
-    with pytest.raises(ValueError, match=r"coordinates is \(0, 3\); expected two of 0 to 2"):
+    with pytest.raises(ValueError, match=r"coordinates = \(0, 3\): expected two of 0 to 2"):
         dal.plot.path(run, coordinates=(0, 3))
     for pair in ((0, -1), (0,), (0, 1, 2), ("x", "y"), (0, 1.5), 5, None):
         with pytest.raises(ValueError, match=r"coordinates = .*: expected two of 0 to 2"):

@@ -359,7 +359,7 @@ def test_a_run_that_breaks_off_is_named(tmp_path):
         steps=(4000, 6000, 8000),
     )
     text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "broke off: endpoint" in text
+    assert "ended early: endpoint" in text
 
 
 def test_bad_arguments_are_named(studies, tmp_path):
@@ -368,7 +368,7 @@ def test_bad_arguments_are_named(studies, tmp_path):
     with pytest.raises(ValueError, match="studies is a System; expected a dalembert.Study or"):
         dal.report.write(dal.systems.sleigh(), tmp_path / "report.html")
     other = dal.convergence(dal.systems.knife_edge(), "midpoint")
-    with pytest.raises(ValueError, match="knife_edge, particle; expected one system"):
+    with pytest.raises(ValueError, match="knife_edge, particle: expected one system"):
         dal.report.write([studies[0], other], tmp_path / "report.html")
     with pytest.raises(OSError):
         dal.report.write(studies, tmp_path / "nowhere" / "report.html")

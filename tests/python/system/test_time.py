@@ -468,7 +468,7 @@ def test_a_system_whose_time_cancels_is_none_of_it():
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"forms": lambda q: [[1, 0]]}, r"forms is a function of \(q\): expected one of \(t, q\)"),
+        ({"forms": lambda q: [[1, 0]]}, r"forms is a function of \(q\): expected a function"),
         ({"potential": lambda q: 0.0}, r"potential is a function of .* \(t, q\)"),
         ({"gradient": lambda t, q: [0, 0]}, r"gradient is given without potential\(t, q\) -> V"),
         ({"constraint_t": lambda t, q, v: [0]}, "constraint_t is given without forms"),
