@@ -13,7 +13,7 @@ and ``help(dal.systems.disk)`` shows the coordinates and parameters of another.
 >>> dal.systems.snakeboard(J0=1)
 Traceback (most recent call last):
     ...
-ValueError: parameters m = 1, r = 0.5, J0 = 1 of snakeboard; expected m r^2 > J0, and m r^2 is 0.25
+ValueError: parameters m = 1, r = 0.5, J0 = 1 of snakeboard: expected m r^2 > J0, but m r^2 is 0.25
 """
 
 from __future__ import annotations
