@@ -205,7 +205,7 @@ def test_usage_errors_are_status_2_and_say_what_there_is(
         (("study", "particle", "--json", "nowhere/a.json"), "there is no folder nowhere"),
         (("study", "particle", "--output", "/proc/a.html"), "/proc/a.html: No such file"),
         (("study", "particle", "--json", "/proc/version"), "/proc/version: "),
-        (("study", "particle", "--json", "a", "--output", "folder/../a"), "expected different files"),
+        (("study", "particle", "--json", "a", "--output", "folder/../a"), "expected different"),
         (("catalogue", "file"), "file: this is a file; expected"),
         (("catalogue", "/proc/a"), "/proc/a: "),
         (("catalogue", "nowhere/a"), "there is no folder nowhere"),
