@@ -45,10 +45,10 @@ def test_store_processes_and_names(tmp_path, capsys):
     ("words", "given"),
     [
         ("a=0:1", ["--grid", "a=0:1"]),
-        ("expected at least one", []),
+        ("give at least one", []),
         ("'b'", ["--grid", "b=1,2"]),
-        ("more often", ["--grid", "a=1,2", "--grid", "a=3"]),
-        ("not both", ["--grid", "a=1,2", "--parameter", "a=3"]),
+        ("more than once", ["--grid", "a=1,2", "--grid", "a=3"]),
+        ("expected one of them", ["--grid", "a=1,2", "--parameter", "a=3"]),
         (".nc or .npz", ["--grid", "a=1,2", "--output", "o.txt"]),
         ("dask://HOST:PORT", ["--grid", "a=1,2", "--executor", "cloud"]),
         ("keep", ["--grid", "a=1,2", "--keep", "everything"]),

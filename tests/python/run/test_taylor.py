@@ -290,7 +290,7 @@ def test_what_it_does_not_take():
             dal.integrate(cvt, "reference", **given, **{name: value})
     with pytest.raises(ValueError, match="observer and t_eval are both given: expected one"):
         dal.integrate(cvt, "reference", **given, t_eval=[1], observer=lambda *_: None)
-    with pytest.raises(NotImplementedError, match="coordinates: not with"):
+    with pytest.raises(NotImplementedError, match="coordinates: not supported by"):
         dal.reference(cvt, method="taylor", coordinates="xi")
     with pytest.raises(dal.NotOnConstraintError):
         dal.integrate(cvt, "reference", [0, 0, 0], [1, 1, 1], **given)

@@ -807,7 +807,7 @@ def test_refused_by_name():
         (lambda: from_sympy(L, coordinates=[x, x, y]), "expected different names"),
         (lambda: from_sympy(L, [sympy.true]), "expected an equation that depends on"),
         (lambda: from_sympy(L, [[1, 2, 3]]), "expected 2 coefficients, got 3"),
-        (lambda: from_sympy(L, [[1, x * y.d]]), r"coefficient 1, x\*y.d, has a velocity in it"),
+        (lambda: from_sympy(L, [[1, x * y.d]]), r"coefficient 1, x\*y.d, contains a velocity"),
         (lambda: from_sympy(L, force={x: m}), r"force\[x\]: m is neither .*, nor in inputs="),
         (lambda: from_sympy(L, force={"m": 1}), "force: m is no coordinate"),
         (lambda: from_sympy(L, parameters={m: "heavy"}), "m = 'heavy'"),
