@@ -622,6 +622,14 @@ def test_the_table_is_complete_and_fits(midpoint):
     assert "p over 5 points, s over 3 points" in flat(text)
 
 
+def test_several_studies_begin_with_the_verdict_and_the_overview():
+    studies = dal.studies(dal.systems.particle(), ["midpoint", "endpoint"], Q0, V0, steps=STEPS)
+    lines = str(studies).splitlines()
+    assert lines[0] == studies.sentence() and lines[1].split()[:2] == ["scheme", "verdict"]
+    assert [line.split()[-1] for line in lines[2:4]] == ["D", "both"]
+    assert lines[4:6] == ["", "midpoint on particle, t = 0 to 1"]
+
+
 @pytest.mark.parametrize("width", [24, 37, 38, 39, 40, 60, 79])
 def test_every_cell_is_seen_on_a_narrow_terminal(midpoint, width):
     wide, narrow = (

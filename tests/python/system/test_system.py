@@ -67,6 +67,9 @@ def test_representations():
         "parameters m = 1.5, J = 0.8, a = 0.4>"
     )
     assert repr(dal.systems.particle()) == "<System particle(x, y, z): 3 coordinates, 1 constraint>"
+    free = dal.System(mass=[1.0], q0=[0], v0=[1], coordinates=["x"])
+    assert repr(free) == "<System system(x): 1 coordinate, no constraints>"
+    assert "5 coordinates, 2 affine constraints;" in repr(dal.systems.ball_on_table())
 
 
 def test_exact_solution_of_the_particle(particle):
