@@ -69,7 +69,7 @@ RULES = [
     Rule(
         f"more than {MOST_WORDS} words",
         lambda s: words(s) > MOST_WORDS,
-        "The step " + "is long and " * 8 + "ends.",
+        "The step " + "is long and " * 8,
         "The step " + "is long and " * 7 + "ends - here.",
     ),
     Rule(
