@@ -181,7 +181,7 @@ def _drawn(body: Body, t: float, x: Array, m: int) -> list[Shape]:
         if shape.constraints and max(shape.constraints) >= m:
             raise ValueError(
                 f"body: a {shape.role} has constraints = {shape.constraints}, but the system "
-                f"has m = {m} constraints, numbered from 0"
+                f"has {m} constraint{'s' * (m != 1)}, numbered from 0"
             )
     return shapes
 
