@@ -492,7 +492,7 @@ def test_a_body_of_ones_own(run):
         (lambda t, q, v: None, "body returned None: expected a list of shapes"),
         (lambda t, q, v: [(0, 0)], r"body returned \(0, 0\) in its list: expected shapes"),
         (lambda t, q, v: [], "returned no shapes"),
-        (lambda t, q, v: [dot(q[:2], 1)], r"constraints = \(1,\), but the system has 1 constraint,"),
+        (lambda t, q, v: [dot(q[:2], 1)], r"= \(1,\), but the system has 1 constraint, numbered"),
         (lambda t, q, v: [dot(q[:2] * np.nan)], "expected finite numbers"),
         (lambda t, q, v: [dot(q.__iadd__(1)[:2])], "read-only"),
     ],
