@@ -39,14 +39,14 @@ static dal_kernel_fn find_routine(const dal_system *system, const dal_scheme *sc
 {
     const size_t n = system->def.n, m = system->def.m;
     if (is_inside(system, scheme)) return system->def.compiled->advance;
-    if (dal__has_momenta(system)) return dal__kernel_with_momenta(n, m);
-    return has_rows(system) ? dal__kernel_any() : dal__kernel_for(n, m);
+    const bool momenta = dal__has_momenta(system);
+    return !momenta && has_rows(system) ? dal__kernel_any(false) : dal__kernel_for(n, m, momenta);
 }
 
 /* Whether the step routine needs no matrix of n rows. */
 static bool is_slim(const dal_system *system, dal_kernel_fn routine)
 {
-    return system->lean && routine == dal__kernel_any();
+    return system->lean && routine == dal__kernel_any(false);
 }
 
 bool dal__has_pairs(const dal_system *system)
@@ -586,7 +586,7 @@ void dal__beta_any_sizes(dal_stepper *stepper)
 {
     beta *const self = stepper->method;
     const dal_system *const system = self->motion->system;
-    self->advance = dal__has_momenta(system) ? dal__kernel_any_with_momenta() : dal__kernel_any();
+    self->advance = dal__kernel_any(dal__has_momenta(system));
 }
 
 const dal_family dal__family_beta = {

@@ -108,7 +108,7 @@ static int blade_step_in_general(dal_kernel *k, size_t steps, size_t *done)
 static int step_in_general(dal_kernel *k, size_t steps, size_t *done)
 {
     k->plain = false;
-    return dal__kernel_for(k->n, k->m)(k, steps, done);
+    return dal__kernel_for(k->n, k->m, false)(k, steps, done);
 }
 
 static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), blade_step, 0, 0,

@@ -822,7 +822,7 @@ static void test_sizes(void)
                 dal_stepper *const fixed = open_stepper(system, &scheme, NULL);
                 dal_stepper *const any = open_stepper_by(BY_ANY_SIZES, system, &scheme);
                 double one[MOST_M], two[MOST_M];
-                CHECK(dal__kernel_for(n, m) != dal__kernel_any());
+                CHECK(dal__kernel_for(n, m, false) != dal__kernel_any(false));
                 CHECK(dal_stepper_start(fixed, 0.0, 0.05, w.state, DAL_CHECK, initial) == 0);
                 CHECK(dal_stepper_start(any, 0.0, 0.05, w.state, DAL_CHECK, initial) == 0);
                 CHECK(dal_advance(fixed, STEPS, one, NULL) == DAL_SUCCESS);
