@@ -811,7 +811,7 @@ static void test_sizes(void)
 {
     enum { STEPS = 1000 };
     const char *const names[] = {"leapfrog", "midpoint-nodes"};
-    for (size_t n = 1; n <= 8; n++)
+    for (size_t n = 1; n <= 6; n++)
         for (size_t m = 0; m < n && m <= 4; m++)
             for (int kind = 0; kind < 4; kind++) {
                 wide w;
