@@ -504,6 +504,17 @@ static void test_inputs(void)
         CHECK_NEAR(dal_stepper_state(stepper)[2], 0.3 * (1.0 + 2.0 + 3.0), 1e-13);
         dal_stepper_free(stepper);
     }
+    const double refused[4] = {0.0, -0.3, (double)INFINITY, NAN};
+    for (size_t k = 0; k < 4; k++) {
+        dal_stepper *const stepper = controlled(system, "midpoint-suzuki4", 1e-6);
+        double u = 1.0;
+        begin(stepper, system, 0.0, (double)INFINITY);
+        dal_run run = {.stepper = stepper, .steps = MOST, .stride = 1, .until = 0.9, .inputs = &u,
+                       .held = refused[k]};
+        CHECK(dal_run_go(&run, SIZE_MAX) == DAL_EINVAL);
+        CHECK(strstr(dal_stepper_error(stepper)->text, "held = "));
+        dal_stepper_free(stepper);
+    }
     dal_system_free(system);
 }
 

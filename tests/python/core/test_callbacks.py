@@ -426,8 +426,8 @@ def test_ctrl_c_in_a_run_of_c(particle, interrupt, stride):
         dal.integrate(
             particle, "midpoint", h=1e-6, steps=10**9, stride=stride, progress=interrupt.progress
         )
-    # A block takes about 0.1 s; 3 s allow for a busy machine.  The run would take a minute.
-    assert time.perf_counter() - interrupt.began < 3.3
+    # A block takes about 0.1 s, the run would take a minute.
+    assert time.perf_counter() - interrupt.began < 20
     partial = caught.value.partial
     assert not partial.success and "KeyboardInterrupt" in partial.message
     assert len(partial.x) > 1 or stride > 1_000
@@ -466,9 +466,8 @@ def test_ctrl_c_in_one_long_call(interrupt, name):
     interrupt.start()
     with pytest.raises(KeyboardInterrupt):
         LONG[name](one)
-    # It is pressed after 0.2 s and seen within 0.1 s; 2 s allow for a busy machine.  None of the
-    # calls ends in less than 10 s.
-    assert time.perf_counter() - interrupt.began < 2.2
+    # It is pressed after 0.2 s and seen within 0.1 s; no call ends in less than 10 s.
+    assert time.perf_counter() - interrupt.began < 9
 
 
 def test_a_flow_that_was_interrupted_keeps_its_rows(interrupt):

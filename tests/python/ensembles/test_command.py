@@ -74,7 +74,10 @@ def test_ctrl_c(who, tmp_path):
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     try:
-        time.sleep(3)
+        while not (tmp_path / "store").exists():
+            assert process.poll() is None
+            time.sleep(0.01)
+        time.sleep(0.5)
         process.send_signal(signal.SIGINT)
         assert process.wait(10) == 130
         assert b"repeat the same command" in process.stderr.read()

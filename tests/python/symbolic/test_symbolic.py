@@ -1092,7 +1092,7 @@ def test_constant_gram():
         (_SQUARES, [_X.d * sympy.sin(dal.time) + _Y.d], None),
     ]
     for L, rows, expected in lasting:
-        terms = dal.System.from_sympy(L, rows)._model.terms.outputs
+        terms = symbolic.make_model(L, rows, None, None)[0].terms.outputs
         assert ([float(e) for e in terms["C"]] if "C" in terms else None) == expected, rows
 
 
