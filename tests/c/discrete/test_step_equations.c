@@ -1295,6 +1295,29 @@ static void test_far_differences(const char *name)
     dal_system_free(base);
 }
 
+/* How far R1 moves with its place: by (1 - beta) h V_qq, and phi by its forms.  M = 1. */
+static void test_moves(void)
+{
+    const double h = 0.1, beta = 0.25;
+    double x[6], xi[5], V_qq[9], sum = 0.0;
+    dal_system *const system = open_system("particle_oscillator");
+    dal_chart *chart = NULL;
+    need(dal_system_state(system, x), "state", "");
+    need(dal_chart_new(&chart, system, NULL), "chart", "");
+    CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0 && dal_chart_drop(chart, x, xi) == 0);
+    CHECK(dal_chart_step(chart, 0.0, beta, h, xi, NULL) == 0);
+    const dal_mechanics *const mech = &chart->mech;
+    const double *const q = mech->forms.q;
+    CHECK(system->def.potential(0.0, q, NULL, NULL, V_qq, system->def.ctx) == 0);
+    for (size_t k = 0; k < 9; k++) sum += (1.0 - beta) * h * fabs(V_qq[k] * q[k % 3]);
+    CHECK_NEAR(dal__step_moves(mech)
+                   - dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, q, NULL, h),
+               sum, 16 * U * (1.0 + sum));
+    CHECK(sum > 0.01);
+    dal_chart_free(chart);
+    dal_system_free(system);
+}
+
 int main(void)
 {
     static const char *const names[] = {"particle", "particle_oscillator", "knife_edge", "sleigh",
@@ -1338,6 +1361,7 @@ int main(void)
     test_far_nodes("heisenberg", 1e5);
     test_far_nodes("knife_edge", 1e7);
     test_turned();
+    test_moves();
     test_bowl();
     test_far_differences("sleigh_contact");
     test_far_differences("rolling_disc");

@@ -138,6 +138,7 @@ static const plan plans[] = {
     {"cart", "midpoint-suzuki4", 60, 4, 3, .table = true},
     {"cart", "leapfrog", 60, 1, 1, .controlled = true, .watched = true},
     {"cart", "midpoint", 60, 3, 7, .controlled = true, .watched = true, .terminal = true},
+    {"cart", "midpoint", 60, 3, 1, .controlled = true, .watched = true, .terminal = true},
     {"cart", "leapfrog-kl6", 60, 2, 0, .watched = true, .timed = true},
     {"cart", "leapfrog", 60, 2, 0, .watched = true, .timed = true, .terminal = true},
     {"cart", "leapfrog", 60, 3, 2, .controlled = true, .timed = true},

@@ -415,7 +415,7 @@ def test_proofs_overrule_what_is_seen():
     assert seen.integrable and not seen.exact  # as far as 16 digits tell
 
 
-@pytest.mark.parametrize("count", [1, 2, 4, 10])
+@pytest.mark.parametrize("count", [1, 2, 4, 6])
 def test_trailers_in_c(count):
     """By functions as far as their digits go, at least 5 fields; and to the end by formulas."""
     system = dal.systems.n_trailer(trailers=count)
@@ -427,7 +427,7 @@ def test_trailers_in_c(count):
     assert (found == whole) == (note == "") and (count > 2 or note == "")
     if note:
         assert note == "brackets of more than 5 fields are not formed"
-    if count == 10:
+    if count == 6:
         report = system.check()
         assert report.growth == whole and report.exact and report.growth_note == ""
 
