@@ -465,6 +465,13 @@ static void test_counted(void)
     CHECK(strncmp(order.text, "Holds. Order (p, s)", 19) == 0);
     CHECK(strstr(order.text, "order 4.00 at t_end; D kept to") != NULL);
     CHECK(order.keeps_D && !order.keeps_D_eps); /* there is none for several sub-steps */
+    /* in any order of the steps, also with the median first */
+    const size_t shuffled[COUNT] = {1600, 50, 100, 200, 400, 800, 3200, 6400, 12800};
+    const dal_order_def again = {.t_end = 2.0, .x0 = x0, .steps = shuffled, .count = COUNT};
+    dal_order other;
+    CHECK(dal_order_study(system, &scheme, &again, points, &other, NULL) == 0);
+    CHECK(other.reaction.points == 4);
+    CHECK_NEAR(other.reaction.slope, order.reaction.slope, 1e-9);
     dal_system_free(system);
 }
 
