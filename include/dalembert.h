@@ -478,8 +478,8 @@ typedef struct dal_stats {
                                    it; 1 for steps of size h */
     double least_step_t;        /* when */
     double error;               /* approximate error of the state at the end of a run, relative to
-                                   its size.  The size is the distance travelled for each q, and the
-                                   largest value for each v.  The estimate uses `remade` steps of
+                                   its size.  The size of a q is its range in the run, that of a v
+                                   its largest absolute value.  The estimate uses `remade` steps of
                                    another size.  With whole = 1 these repeat the run, its first
                                    131072 steps, or the part after its last reset; a value above
                                    0.05 then means that h is too large.  With whole = 0 they repeat

@@ -27,10 +27,11 @@
 /* Above this condition number the solution has no correct digits: 1e15 u is 0.1. */
 #define DAL_LU_CONDITION 1e15
 
-/* A matrix with m = 2 is regular if the product of its pivots is positive, and it and the entry
- * above the second are this close to their sizes.  With |L| <= 1 and pivots not above 2^4 of their
- * sizes, they are above 2^-12.  The x of dal_lu_is_regular is then at most 2^13 for the second row
- * and 2^12 (1 + 2^8 2^13) for the first; times m and 2^8 this is below 2^43. */
+/* For m = 2, a matrix is regular under two conditions: the product of the pivots is positive and at
+ * least its size over this factor; the entry above the second is less than its size times this
+ * factor.  With |L| <= 1 and pivots not above 2^4 of their sizes, they are above 2^-12.  The x of
+ * dal_lu_is_regular is then at most 2^13 for the second row and 2^12 (1 + 2^8 2^13) for the first;
+ * times m and 2^8 this is below 2^43. */
 #define DAL_LU_EASY 0x1p8
 
 /* x[m] <- A^-1 b[m] from the factors; x and b may not overlap. */

@@ -74,9 +74,10 @@ class Statistics:
         Shortest step of a run with variable steps, relative to the mean of the steps before it, and
         its time.  It is 1 for steps of fixed size.
     error : float
-        Approximate error of the last state, relative to its size.  The size is the distance
-        travelled for each q, and the largest value for each v.  The value is nan if there is no
-        estimate.  It is inf if steps of h / 2 failed and the steps of h are suspect.
+        Approximate error of the last state, relative to its size.  The size of a q is its range in
+        the run, that of a v its largest absolute value.  No size counts as less than 1e-3 of the
+        largest of its kind.  The value is nan if there is no estimate.  It is inf if steps of h / 2
+        failed and the steps of h are suspect.
     remade : int
         Steps of another size that were taken for this estimate.
     whole : int
