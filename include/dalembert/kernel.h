@@ -12,8 +12,8 @@
  * (0, a), (1, b) for A = a, B = b; V then enters at the node only, and kappa is the only unknown.
  * Stages of other systems are in momentum.h.  The multiplier is lambda = kappa / ((A+B) h).
  *
- * Terms at q~, q_k, q~' are evaluated at the times t, t + A h and t + (A+B) h.  Each time is t0 + (k
- * + c) h with the number k of the step and a constant c of the stage, so rounding errors do not
+ * Terms at q~, q_k, q~' are evaluated at the times t, t + A h and t + (A+B) h.  Each time is
+ * t0 + (k + c) h with the step number k and a constant c of the stage, so rounding errors do not
  * accumulate.  The end of a step is dal_stepper_time to the bit.
  *
  * Solution.  Newton's iteration for (v', kappa) without the Hessian of V needs one m x m matrix
