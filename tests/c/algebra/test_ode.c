@@ -872,6 +872,27 @@ static void test_arguments(void)
     dal__ode_free(NULL);
 }
 
+/* After steps of 1 ten thousand of 1e-7 advance by 1e-3, less than a millionth of what steps of 1
+ * would, and those of 1e-5 by more. */
+static void test_creep(void)
+{
+    for (int k = 0; k < 4; k++) {
+        const double slow = k % 2 ? 1e-5 : 1e-7, span = k < 2 ? 1e5 : (double)INFINITY;
+        dal__creep creep = {0};
+        dal_error error = {0};
+        double t = 0.0;
+        int status = dal__creep_check(&creep, t, span, &error), step = 0;
+        for (; !status && step < 20000; step++) {
+            const double h = step < 10 ? 1.0 : slow;
+            dal__creep_step(&creep, t, h);
+            t += h;
+            status = dal__creep_check(&creep, t, span, &error);
+        }
+        CHECK(step == 20000 && status == (k % 2 ? DAL_SUCCESS : DAL_ENOCONV));
+        CHECK(k % 2 || strstr(error.text, "after steps of up to 1.0e+00"));
+    }
+}
+
 int main(void)
 {
     gsl_set_error_handler(abort_on_gsl_error);
@@ -912,6 +933,7 @@ int main(void)
     test_units_rodas();
     test_atoms_rodas();
     test_coarse();
+    test_creep();
     test_turned_rodas();
     test_shortened(DAL_FLOW_RK8PD);
     test_shortened(DAL_FLOW_RODAS);
