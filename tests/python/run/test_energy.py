@@ -73,7 +73,7 @@ def test_a_run_that_cannot_keep_it_says_so():
     with pytest.warns(dal.DalembertWarning, match=r"not kept in \d+ of 2000 steps"):
         run = dal.integrate(pendulum, h=0.5, steps=2000, energy="keep")
     assert 0 < run.stats.unscaled < 200
-    assert f"but for {run.stats.unscaled} of 2000 steps" in repr(run)
+    assert f"except in {run.stats.unscaled} of 2000 steps" in repr(run)
     lost = (abs(run.energy - run.energy[0]) > 1e-14).sum()
     assert lost == run.stats.unscaled
     with pytest.warns(dal.DalembertWarning, match="would have changed"):
