@@ -615,7 +615,7 @@ def test_check_finds_a_state_by_itself(in_python):
     assert report.growth_note.endswith("mu has rank 1 instead of 2")
     far = [z.d - sqrt(x - 3) * y * x.d]
     assert dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2) / 2, far, [x, y, z]).check()
-    with pytest.raises(ValueError, match="no initial data"):
+    with pytest.raises(ValueError, match="no default initial data"):
         dal.System(mass=[1]).check()
 
 
