@@ -17,11 +17,10 @@ from conftest import U, relative_residual
 import dalembert as dal
 
 # The sub-steps of a composition with h = 1/4 are large for the potential of generic4.
-pytestmark = pytest.mark.filterwarnings("ignore:.*needed the Hessian:dalembert.DalembertWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:.*the full Newton:dalembert.DalembertWarning")
 
 DATA = Path(__file__).parents[2] / "data"
 VECTORS = json.loads((DATA / "vectors.json").read_text(encoding="ascii"))
-REFERENCE = json.loads((DATA / "reference.json").read_text(encoding="ascii"))
 
 BUILTIN = {
     "particle": "particle",
@@ -271,19 +270,6 @@ def test_steps(name, kind, group):
             assert residual(name, q - run.shift * v, v) <= 4 * subject.n * U
 
 
-@pytest.mark.parametrize("group", ["onestep", "multistep", "hat", "composition"])
-@pytest.mark.parametrize("name", BUILTIN)
-def test_two_kinds_agree(name, group):
-    """Formulas and built-in systems round differently, some u of the state in a step."""
-    for entry in entries(group, name):
-        own = integrate(system(name, "formulas"), entry)
-        theirs = integrate(system(name, "built in"), entry)
-        steps = entry.get("steps", 1)
-        np.testing.assert_allclose(
-            own.x[-1], theirs.x[-1], rtol=0.0, atol=64 * U * steps * np.max(np.abs(theirs.x[-1]))
-        )
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_unconstrained(name):
     """The beta-schemes without constraints."""
@@ -323,31 +309,3 @@ def test_ehresmann(name, kind):
         near(subject.multipliers(q, v), entry["lambda"])
         near(chart.multipliers(q, v), entry["lambda_E"])
         near(chart.multipliers_back(q, v, array(entry["lambda_E"])), entry["lambda"])
-
-
-@pytest.mark.parametrize("t", ["1", "10"])
-@pytest.mark.parametrize(("name", "kind"), SUBJECTS)
-def test_reference(name, kind, t):
-    """End states of the flow, by rk8pd and by small steps of order 8.
-
-    In a unit of time rk8pd takes about 5 steps, each with an error of at most 1e-13 (1 + |x|), and
-    kl8 with h = 1/20 solves 20 * 17 equations that leave some u |x| each, its own error of order 8
-    below; so 1e-12 a unit of time.  The gradients of lambda and E are at most 10 here.
-    """
-    subject = system(name, kind)
-    start, end = REFERENCE[name]["initial"], REFERENCE[name]["states"][t]
-    q0, v0 = array(start["q"]), array(start["v"])
-    near(subject.multipliers(q0, v0), start["lambda"])
-    near(subject.energy(q0, v0), start["energy"])
-    if kind == "built in":
-        near(np.concatenate([subject.q0, subject.v0]), start["q"] + start["v"])
-
-    h, tolerance = 1 / 20, 1e-12 * float(t)
-    flow = dal.reference(subject, q0, v0, float(t))
-    run = dal.integrate(subject, "leapfrog-kl8", q0, v0, h=h, t_end=float(t), stride=20)
-    for q, v in ((flow.q, flow.v), (run.q[-1], run.v[-1])):
-        np.testing.assert_allclose(q, array(end["q"]), rtol=0.0, atol=tolerance)
-        np.testing.assert_allclose(v, array(end["v"]), rtol=0.0, atol=tolerance)
-        values = [*subject.multipliers(q, v), subject.energy(q, v)]
-        expected = array([*end["lambda"], end["energy"]])
-        np.testing.assert_allclose(values, expected, rtol=0.0, atol=10 * tolerance)
