@@ -25,7 +25,7 @@ def run(*arguments, cwd=None, **environment):
         text=True,
         capture_output=True,
         env={**os.environ, **environment},
-        timeout=60,
+        timeout=240,
     )
 
 
@@ -148,7 +148,7 @@ def test_a_reader_that_leaves_is_no_error():
         stdout=write,
         stderr=subprocess.PIPE,
         text=True,
-        timeout=60,
+        timeout=240,
     )
     os.close(write)
     assert done.returncode == 141 and done.stderr == ""
@@ -292,7 +292,7 @@ def test_nothing_that_is_typed_is_dropped(tmp_path):
 def test_a_closed_standard_output(tmp_path):
     done = subprocess.run(
         f"{sys.executable} -m dalembert study particle --scheme leapfrog --output r.html >&-",
-        shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=240,
     )  # fmt: skip
     assert done.returncode == 0 and "Traceback" not in done.stderr
     assert (tmp_path / "r.html").exists()

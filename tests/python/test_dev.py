@@ -65,7 +65,7 @@ def flock(request, monkeypatch, tmp_path):
 
 
 def dev(*command, **options):
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, **options)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, **options)
     return done.returncode, done.stderr
 
 
@@ -117,7 +117,7 @@ def started(clone):
 def test_two_at_once(clone, flock):
     first = started(clone)
     status, said = dev(clone / "dev", "build")
-    assert status == first.wait(timeout=30) == 0
+    assert status == first.wait(timeout=240) == 0
     assert said.count("waiting for another ./dev in this clone") == 1
     assert logged("begin|end") == ["begin", "end"] * 2
 

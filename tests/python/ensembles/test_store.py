@@ -274,8 +274,8 @@ def test_functions_are_told_apart(path):
 
 def test_two_processes_begin_at_once(path):
     """One of two ensembles has the store, the other is refused, and no block is mixed."""
-    script = SCRIPT.replace("h=0.01, steps=40_000", "h=float(sys.argv[2]), steps=20")
-    for _ in range(8):
+    script = SCRIPT.replace("'h': 0.01, 'steps': 40000", "'h': float(sys.argv[2]), 'steps': 20")
+    for _ in range(4):
         both = [
             subprocess.Popen([sys.executable, "-c", script, path, h], stderr=subprocess.DEVNULL)
             for h in ("0.01", "0.02")

@@ -250,7 +250,7 @@ def limited(program, folder, *arguments):
     )
     return subprocess.run(
         [sys.executable, "-c", preamble + program, *arguments],
-        cwd=folder, capture_output=True, text=True, timeout=60,
+        cwd=folder, capture_output=True, text=True, timeout=240,
     )  # fmt: skip
 
 

@@ -375,7 +375,7 @@ def test_sympy_is_imported_late():
         "assert dal.cli.main(['systems']) == 0\n"
         "assert 'sympy' not in sys.modules\n"
     ).replace("dal.cli", "__import__('dalembert.cli').cli")
-    subprocess.run([sys.executable, "-c", program], check=True, env=os.environ, timeout=60)
+    subprocess.run([sys.executable, "-c", program], check=True, env=os.environ, timeout=240)
 
 
 def test_without_sympy(monkeypatch):
