@@ -5,7 +5,6 @@ from __future__ import annotations
 import concurrent.futures as futures
 import pickle
 import signal
-import time
 import warnings
 
 import numpy as np
