@@ -567,9 +567,42 @@ static void test_events(void)
     dal_system_free(system);
 }
 
+static int unit_spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    (void)t, (void)ctx;
+    if (V) *V = 0.5 * q[0] * q[0];
+    if (V_q) V_q[0] = q[0];
+    if (V_qq) V_qq[0] = 1.0;
+    return 0;
+}
+
+/* From (q, v) = (1, 0) of q'' = -q the rates are 1 and, relative to 1 + |q|, 1/2: the first step is
+ * the one whose estimate is a hundredth of the tolerance, at most h_max, in either direction. */
+static void test_first_step(void)
+{
+    const double mass = 1.0, x[2] = {1.0, 0.0};
+    const dal_system_def def = {.n = 1, .mass = &mass, .potential = unit_spring, .state = x};
+    const dal_scheme record = find_scheme("midpoint-suzuki4");
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "spring", "");
+    for (int k = 0; k < 4; k++) {
+        const double ahead = k % 2 ? -1.0 : 1.0, longest = k < 2 ? 0.0 : 1e-3;
+        dal_stepper *const stepper =
+            open_stepper(system, &record, &(dal_options){.tolerance = 1e-6, .h_max = longest});
+        double h = 0.0;
+        begin(stepper, system, 0.0, ahead * (double)INFINITY);
+        CHECK(dal__pace_first(stepper, 0.0, ahead, x, &h) == DAL_SUCCESS);
+        const double exact = pow(0.01 * stepper->pace.tolerance, 1.0 / (stepper->pace.q + 1.0));
+        CHECK_NEAR(h, ahead * (longest > 0.0 ? longest : exact), 8.0 * U);
+        dal_stepper_free(stepper);
+    }
+    dal_system_free(system);
+}
+
 int main(void)
 {
     test_weights();
+    test_first_step();
     test_order_of_the_estimate();
     test_accuracy();
     test_lengths();
