@@ -116,7 +116,7 @@ class Tree:
 
     def objects(self):
         """Return a digest of the library's object files, without where their sources are."""
-        found = sorted((self.build / "csrc").glob("*.a.p/*.o"))
+        found = sorted((self.build / "csrc").glob("*.p/*.o"))
         return hashlib.sha256(b"".join(path.read_bytes() for path in found)).hexdigest()
 
     def first_to_fail(self, names, limits):
