@@ -1047,6 +1047,30 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     return DAL_SUCCESS;
 }
 
+/* Each kind of stage.  With the callbacks inside, the step is one function, so that the state stays in
+ * registers; with pointers, one for each kind, which compiles faster. */
+#if DAL_KERNEL_INSIDE
+#define DAL_KERNEL_WHOLE DAL_KERNEL_INLINE
+#else
+#define DAL_KERNEL_WHOLE DAL_KERNEL_APART
+#endif
+
+DAL_KERNEL_WHOLE int DAL_KERNEL_PART(stage_in_general)(dal_kernel *k, double number,
+                                                       const dal_stage *s,
+                                                       const dal_masses *masses, double *x,
+                                                       double *pull)
+{
+    return DAL_KERNEL_PART(stage)(k, number, s, false, masses, x, pull);
+}
+
+#ifndef DAL_KERNEL_MOMENTA
+DAL_KERNEL_WHOLE int DAL_KERNEL_PART(plain_stage)(dal_kernel *k, double number, const dal_stage *s,
+                                                  const dal_masses *masses, double *x, double *pull)
+{
+    return DAL_KERNEL_PART(stage)(k, number, s, true, masses, x, pull);
+}
+#endif
+
 #ifdef DAL_KERNEL_MOMENTA
 /* From k->at.x: L_v, unless momentum is NULL, and -F, if pushed. */
 static int DAL_KERNEL_PART(push)(dal_kernel *k, double number, const dal_stage *s, double *momentum,
@@ -1068,6 +1092,12 @@ static int DAL_KERNEL_PART(push)(dal_kernel *k, double number, const dal_stage *
 
 #include <dalembert/momentum.h>
 
+DAL_KERNEL_WHOLE int DAL_KERNEL_PART(momentum_stage)(dal_kernel *k, double number,
+                                                     const dal_stage *s, double *x, double *low)
+{
+    return DAL_KERNEL_PART(momentum)(k, number, s, !DAL_KERNEL_INSIDE && s->linear, x, low);
+}
+
 /* A stage of either kind. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double number,
                                                        const dal_stage *s,
@@ -1081,16 +1111,14 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double num
         return DAL_KERNEL_PART(momentum)(k, number, s, false, x, pull + 3 * n);
     if (DAL_KERNEL_INSIDE && s->momentum && s->linear)
         return DAL_KERNEL_PART(momentum)(k, number, s, true, x, pull + 3 * n);
-    if (s->momentum)
-        return DAL_KERNEL_PART(momentum)(k, number, s, !DAL_KERNEL_INSIDE && s->linear, x,
-                                        pull + 3 * n);
+    if (s->momentum) return DAL_KERNEL_PART(momentum_stage)(k, number, s, x, pull + 3 * n);
     int status = DAL_SUCCESS;
     for (size_t i = 0; k->carried && i < n; i++) pull[4 * n + i] = 0.0; /* which is of p */
     if (DAL_KERNEL_RARE(s->start != 0.0 && !k->forced)) {
         DAL_KERNEL_COPY(2 * n, x, k->at.x);
         status = DAL_KERNEL_PART(push)(k, number, s, NULL, true);
     }
-    if (!status) status = DAL_KERNEL_PART(stage)(k, number, s, false, masses, x, pull);
+    if (!status) status = DAL_KERNEL_PART(stage_in_general)(k, number, s, masses, x, pull);
     k->carried = k->formed = false;
     return status;
 }
@@ -1145,9 +1173,9 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         status = DAL_KERNEL_PART(stage_of_either)(k, number, s, &masses, x, pull);
 #else
         if (DAL_KERNEL_PLAIN || k->plain)
-            status = DAL_KERNEL_PART(stage)(k, number, s, true, &masses, x, pull);
+            status = DAL_KERNEL_PART(plain_stage)(k, number, s, &masses, x, pull);
         else
-            status = DAL_KERNEL_PART(stage)(k, number, s, false, &masses, x, pull);
+            status = DAL_KERNEL_PART(stage_in_general)(k, number, s, &masses, x, pull);
 #endif
         if (status) break;
         if (DAL_KERNEL_RARE(k->estimate != NULL))
@@ -1171,6 +1199,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 }
 
 #undef DAL_KERNEL_INSIDE
+#undef DAL_KERNEL_WHOLE
 #undef DAL_KERNEL_PULLED
 #undef DAL_KERNEL_PLAIN
 #undef DAL_KERNEL_SHARED
