@@ -43,7 +43,7 @@ def test_study_prints_the_table_and_writes_the_report(tmp_path):
     assert first == found.sentence() and titles.split()[:2] == ["scheme", "verdict"]
     assert [row.split()[:2] for row in rows] == [["midpoint", "holds"], ["midpoint-nodes", "holds"]]
     assert max(map(len, done.stdout.splitlines())) <= 100
-    assert "report: report.html" in done.stderr
+    assert "writing report.html" in done.stderr
     assert (tmp_path / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 

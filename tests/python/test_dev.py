@@ -21,13 +21,17 @@ case ${0##*/}:$* in
   python:*venv\ *)
     log venv
     mkdir -p "$3/bin"
-    for name in python meson; do cp "$0" "$3/bin/$name"; done
+    for name in python meson ninja; do cp "$0" "$3/bin/$name"; done
     ;;
   python:-m\ dalembert*) log "$@" ;;
+  python:*pip\ *sympy*) log "$@" && [ ! -e "$LOG.late" ] ;;
   python:*pip\ *) log "$@" && [ ! -e "$LOG.full" ] ;;
   meson:configure*) log "$@" ;;
-  meson:setup*) log "$@" && mkdir -p "$2" && touch "$2/build.ninja" ;;
-  meson:compile*) log begin && sleep 0.3 && log end ;;
+  meson:setup*)
+    log "$@" && mkdir -p "$2/meson-uninstalled" && touch "$2/build.ninja"
+    touch "$2/meson-uninstalled/dalembert-uninstalled.pc"
+    ;;
+  ninja:*) log begin && sleep 0.3 && log end ;;
   meson:*--list*nothing*) exit 1 ;;
   meson:*--list*one* | meson:*--list*quick*) echo 'house - dalembert:one' ;;
   meson:*--list*) printf '%s\n' 'house - dalembert:one' 'pages - dalembert:two' ;;
@@ -166,6 +170,35 @@ def test_lines_to_type(clone):
     assert set(os.listdir(clone)) == {".lock", ".venv", "dev"}
 
 
+def test_packages_that_the_build_does_not_wait_for(clone):
+    """They are installed meanwhile; the environment is complete only with them."""
+    late = Path(os.environ["LOG"] + ".late")
+    late.touch()
+    status, said = dev(clone / "dev", "build")
+    assert status == 3 and "pip could not install these" in said
+    assert logged("begin|end") == ["begin", "end"]
+    late.unlink()
+    assert [dev(clone / "dev", "build")[0] for _ in range(2)] == [0, 0]
+    assert len(logged("venv")) == 2 and len(logged("-m.pip.*sympy")) == 2
+
+
+def test_a_shell_finds_this_python_first(clone, monkeypatch):
+    """Whatever its start-up file puts first."""
+    home, other = clone.parent / "home", clone.parent / "other"
+    for folder in home, other:
+        folder.mkdir()
+    (home / ".bashrc").write_text(f"PATH={other}:$PATH; seen=1\n")
+    shutil.copy(os.environ["PYTHON"], other)
+    shell = clone.parent / "bash"  # the words: --rcfile FILE
+    shell.write_text('#!/bin/sh\n. "$2"\necho "$seen $(command -v python)" >>"$LOG"\n')
+    shell.chmod(0o755)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("SHELL", str(shell))
+    status, said = dev(clone / "dev", "shell")
+    assert status == 0 and "a shell with dalembert in it" in said
+    assert logged("1 ") == [f"1 {clone}/.venv/bin/python"]
+
+
 def test_no_such_tool(clone, monkeypatch):
     for name, what in {"PYTHON": "Python", "CC": "compiler"}.items():
         before = os.environ.get(name)
@@ -210,7 +243,8 @@ def test_the_site_installs_what_it_imports():
     assert {"scipy", "sympy", "sphinx"} <= imported
     imported -= {*sys.stdlib_module_names, *(file.stem for file in files)}
     imported -= {"dalembert", "docutils", "distributed"}  # the last is tried, and done without
-    installed = {re.split(r"[>=\[]", name)[0] for name in docs + lists["requirements"].split()}
+    names = [*docs, *lists["build_requirements"].split(), *lists["run_requirements"].split()]
+    installed = {re.split(r"[>=\[]", name)[0] for name in names}
     assert {name.lower().replace("_", "-") for name in imported} <= installed
 
 

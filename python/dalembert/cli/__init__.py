@@ -233,8 +233,8 @@ def _study(given: argparse.Namespace) -> int:
         else:
             files.write(given.json, text)
     if output is not None:
+        print(f"writing {output} ...", file=sys.stderr)
         report.write(found, output)
-        print(f"report: {output}", file=sys.stderr)
     if interrupt:
         raise interrupt
     return 1 if found.holds is False else 0
