@@ -1047,8 +1047,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     return DAL_SUCCESS;
 }
 
-/* Each kind of stage.  With the callbacks inside, the step is one function, so that the state stays in
- * registers; with pointers, one for each kind, which compiles faster. */
+/* Each kind of stage.  With the callbacks inside, the step is one function, so that the state stays
+ * in registers; with pointers, one for each kind, which compiles faster. */
 #if DAL_KERNEL_INSIDE
 #define DAL_KERNEL_WHOLE DAL_KERNEL_INLINE
 #else
