@@ -332,7 +332,7 @@ def _stride(stride: Any, kept: Kept, counts: list[int]) -> int:
     if kept.at_end:
         if stride is not None:
             raise ValueError(
-                f"stride = {stride} has no effect, because only the end is kept: remove it"
+                f"stride = {stride}: not used, because only the end is kept; remove it"
             )
         return 0
     found = 1 if stride is None else arguments.integer(stride, "stride", 1)

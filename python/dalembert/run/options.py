@@ -25,8 +25,8 @@ _ALL = ("t0", "t_end", "stride", "consistent", "observer", "progress", "throw", 
 _RUN = "max_iterations events journal journal_errors"
 
 KINDS = {
-    "fixed": _kind("a number for h at moved nodes", f"steps energy inputs hold check_h {_RUN}"),
-    "kept": _kind("a number for h at kept nodes", f"steps initial inputs hold check_h {_RUN}"),
+    "fixed": _kind("a fixed step at moved nodes", f"steps energy inputs hold check_h {_RUN}"),
+    "kept": _kind("a fixed step at kept nodes", f"steps initial inputs hold check_h {_RUN}"),
     "auto": _kind("h = 'auto'", f"tolerance h_max inputs hold {_RUN}"),
     "reversible": _kind("h = 'reversible'", f"eps {_RUN}"),
     "flow": _kind(
@@ -34,6 +34,14 @@ KINDS = {
         "steps method tolerance inputs hold events journal journal_errors",
     ),
     "series": _kind("method = 'taylor'", "steps method tolerance"),
+}
+
+_FIXED = {"fixed", "kept"}
+
+# Advice for an option that the kind of run does not use, where it is not another kind of run.
+_INSTEAD = {
+    "steps": "give t_end instead, because the steps vary",
+    "initial": "remove it; only schemes with kept nodes, such as 'midpoint-nodes', take it",
 }
 
 # Options that have an effect only beside another one.
@@ -73,14 +81,17 @@ def require(kind: str, **given: Any) -> None:
     there = {name: value for name, value in given.items() if not _is_nothing(value)}
     for name, value in there.items():
         if name not in KINDS[kind].options:
-            takers = [each.asked_by for each in KINDS.values() if name in each.options]
+            takers = {key for key in KINDS if name in KINDS[key].options}
+            here = _FIXED if kind in _FIXED and not _FIXED & takers else {kind}
+            # Series are a method of the scheme 'reference', which takes all of their options.
+            advice = f"remove it, or take {_or(_in_words(takers - {'series'}))}"
             raise ValueError(
-                f"{name} = {arguments.shown(value)} has no effect with {KINDS[kind].asked_by}: "
-                f"remove it; it applies to {_or(takers)}"
+                f"{name} = {arguments.shown(value)}: not used with {_or(_in_words(here))}; "
+                f"{_INSTEAD.get(name, advice)}"
             )
         if _NEEDS.get(name, name) not in there:
             raise ValueError(
-                f"{name} = {arguments.shown(value)} has no effect without {_NEEDS[name]}: "
+                f"{name} = {arguments.shown(value)}: not used without {_NEEDS[name]}; "
                 f"remove it, or give {_NEEDS[name]}"
             )
     if "t_eval" not in there:
@@ -92,9 +103,16 @@ def require(kind: str, **given: Any) -> None:
         )
     if "stride" in there and "observer" not in there:
         raise ValueError(
-            f"stride = {arguments.shown(given['stride'])} has no effect with t_eval, which "
-            "sets the stored times: remove one of the two"
+            f"stride = {arguments.shown(given['stride'])}: not used with t_eval, which sets the "
+            "stored times; remove one of the two"
         )
+
+
+def _in_words(kinds: set[str]) -> list[str]:
+    """Return the names of kinds of runs; the two with a fixed step together have one name."""
+    both = kinds >= _FIXED
+    rest = kinds - _FIXED if both else kinds
+    return ["a fixed step"] * both + [KINDS[kind].asked_by for kind in KINDS if kind in rest]
 
 
 def _is_nothing(value: Any) -> bool:

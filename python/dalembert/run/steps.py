@@ -170,11 +170,17 @@ def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None)
     steps = round(ratio)
     is_none = steps == 0 and abs(t_end - t0) > 2e-15 * max(abs(t0), abs(t_end))
     if abs(ratio - steps) > 1e-9 * max(1.0, ratio) or is_none:
-        few, many = math.floor(ratio), math.ceil(ratio)
-        sizes = [f"{(t_end - t0) / k!r}" for k in (many, few) if k > 0]
+        counts = [k for k in (math.floor(ratio), math.ceil(ratio)) if k > 0]
+        ends = [_shortest(t0 + k * h, max(abs(t0), abs(t_end))) for k in counts]
+        sizes = [_shortest((t_end - t0) / k, abs(h)) for k in counts[::-1]]
         raise ValueError(
             f"t_end = {t_end!r} is {ratio:.10g} steps of h = {h!r} from t0 = {t0!r}: expected "
-            f"a whole number; take t_end = {t0 + few * h!r} or {t0 + many * h!r}, or h = "
-            f"{' or '.join(sizes)}"
+            f"a whole number; take t_end = {' or '.join(ends)}, or h = {' or '.join(sizes)}"
         )
     return steps
+
+
+def _shortest(x: float, scale: float) -> str:
+    """Return the shortest decimal that differs from x by roundoff of numbers of this scale."""
+    rounded = (float(f"{x:.{digits}g}") for digits in range(1, 18))
+    return repr(next(each for each in rounded if abs(each - x) <= 2.0**-50 * scale))

@@ -101,8 +101,8 @@ def convergence(
     require(kind_of(record), initial=initial)
     if tolerance is not None and not _has_flow(system, record, t0):
         raise ValueError(
-            f"tolerance = {arguments.shown(tolerance)} has no effect, because errors are "
-            f"measured against the exact solution of {system.name!r}, not the reference flow: "
+            f"tolerance = {arguments.shown(tolerance)}: not used, because errors are "
+            f"measured against the exact solution of {system.name!r}, not the reference flow; "
             "remove it"
         )
     start = record._initial(initial)
@@ -239,7 +239,7 @@ def studies(
     for name, value in (("initial", initial), ("tolerance", tolerance)):
         if value is not None and not any(applies[name]):
             raise ValueError(
-                f"{name} = {arguments.shown(value)} has no effect on any of these schemes: "
+                f"{name} = {arguments.shown(value)}: not used by any of these schemes; "
                 "remove it"
             )
     max_steps = arguments.integer(max_steps, "max_steps", 1)

@@ -28,7 +28,11 @@ def named(names: str | Sequence[str]) -> tuple[Any, ...]:
     else:
         words = _several(names, "names")
     for word in words:
-        arguments.text(word, "names")
+        if not arguments.text(word, "names").isidentifier():
+            raise ValueError(
+                f"names: {word!r} is not an identifier; expected letters, digits and _, not "
+                "beginning with a digit"
+            )
     if not words or len(set(words)) != len(words):
         raise ValueError(f"names = {names!r}: expected at least one name, all different")
     return models.make_coordinates(words)
@@ -52,13 +56,12 @@ def take(
     For invariants that are expressions the function is None.
     """
     state = None if q0 is None and v0 is None else initial_data(q0, v0)
-    in_model = isinstance(state, list)
     named = arguments.mapping(invariants, "invariants")
     by_expressions = is_expressions(exact)
     model, values = make_model(
         *given,
         force,
-        state if in_model else None,
+        state,
         exact if by_expressions else None,
         {key: e for key, e in named.items() if is_expressions(e)},
         inputs,
@@ -67,7 +70,7 @@ def take(
     return {
         "model": model,
         "values": values,
-        "state": None if in_model else state,
+        "state": None if state is None or model.state is not None else _numbers(state),
         "exact": None if by_expressions else exact,
         "invariants": {key: None if is_expressions(e) else e for key, e in named.items()},
     }
@@ -79,7 +82,7 @@ def make_model(
     coordinates: Iterable[Any] | None,
     parameters: Mapping[Any, Any] | None,
     force: Any = None,
-    state: Sequence[Any] | None = None,
+    state: Mapping[str, list[Any]] | None = None,
     exact: Any = None,
     invariants: Mapping[str, Any] | None = None,
     inputs: Iterable[Any] = (),
@@ -127,7 +130,7 @@ def make_model(
                 f"inputs: {key} has no effect, because neither the force nor a constraint "
                 "depends on it; remove it"
             )
-    start = None if state is None else translate.several(state, "(q0, v0)")
+    start = None if state is None else _expressions_of(state, names, translate)
     for e in start or ():
         if e.free_symbols - set(translate.rule.values()):
             raise ValueError(f"(q0, v0): {e}: expected numbers, or expressions of parameters")
@@ -361,14 +364,46 @@ def _refuse_rates(expression: Expr, where: str) -> None:
             raise ValueError(f"{where}: {rate}: write {found[0].d} for the velocity of {found[0]}")
 
 
-def initial_data(q0: Any, v0: Any) -> Any:
-    """Return (q0, v0) as one array of numbers, or as a list if there are expressions."""
-    if q0 is None or v0 is None:
-        raise ValueError("q0 and v0: expected both or none")
-    both = [*_several(q0, "q0"), *_several(v0, "v0")]
-    if any(getattr(x, "free_symbols", None) for x in both):
-        return both
-    return np.array([arguments.parameter(x, "(q0, v0)") for x in both])
+def initial_data(q0: Any, v0: Any) -> dict[str, list[Any]]:
+    """Return the elements of q0 and v0, by these names."""
+    arguments.pair(q0, v0, ("q0", "v0"))
+    state = {"q0": q0, "v0": v0}
+    for name, given in state.items():
+        if isinstance(given, str | bytes | Mapping) or not isinstance(given, Iterable):
+            raise ValueError(
+                f"{name} = {arguments.shown(given)}: expected a list of numbers, one for each "
+                "coordinate"
+            )
+    return {name: list(given) for name, given in state.items()}
+
+
+def _expressions_of(
+    state: Mapping[str, list[Any]], names: list[str], translate: Translation
+) -> tuple[Expr, ...] | None:
+    """Return the 2n components of a state with expressions, None if all are numbers."""
+    n = len(names)
+    for name, given in state.items():
+        if any(map(np.ndim, given)):
+            raise ValueError(f"{name} has shape {arguments.shape(given)}: expected ({n},)")
+        if len(given) != n:
+            raise ValueError(
+                f"{name} has {len(given)} number{'s' * (len(given) != 1)}: expected {n}, one for "
+                f"each of {', '.join(names)}"
+            )
+    both = [*state["q0"], *state["v0"]]
+    is_constant = not any(getattr(x, "free_symbols", None) for x in both)
+    return None if is_constant else translate.several(both, "(q0, v0)")
+
+
+def _numbers(state: Mapping[str, list[Any]]) -> np.ndarray:
+    """Return the 2n components of a state of numbers."""
+    return np.array(
+        [
+            arguments.parameter(x, f"{name}[{i}]")
+            for name, given in state.items()
+            for i, x in enumerate(given)
+        ]
+    )
 
 
 def is_expressions(value: Any) -> bool:

@@ -401,8 +401,6 @@ class Expressions(Source):
         library = evaluation.library(model, self.lanes)
         if model.state is not None:
             state = numbers.matrix(library, "state", (2 * n,))
-        if state is not None and len(state) != 2 * n:
-            raise ValueError(f"(q0, v0): expected {n} numbers each, got {len(state)} in all")
         is_compact = library is not None and library.definition[0].sparsity != ffi.NULL
         mass = numbers.matrix(library, "mass", (n,) if is_compact else (n, n))
         in_c = library is not None and not any(self.invariants.values())

@@ -301,7 +301,7 @@ def test_a_controller_that_fails(cart):
         ({"inputs": lambda t, q, v: np.ones(3)}, r"inputs returned shape \(3,\)"),
         ({"inputs": lambda t: [1.0, 1.0]}, r"a function of \(t, q, v\)"),
         ({"inputs": {"left": 1.0}}, "right is missing"),
-        ({"hold": 2}, "hold = 2 has no effect without inputs"),
+        ({"hold": 2}, "hold = 2: not used without inputs"),
         ({"inputs": [0.0, 0.0], "hold": 0}, "hold = 0"),
     ],
 )

@@ -349,6 +349,9 @@ def test_no_steps(own):
     ("arguments", "text"),
     [
         ({"h": 0.03, "t_end": 1.0}, "33.33.* t_end = 0.99 or 1.02, or h = 0.0294.* or 0.0303"),
+        ({"h": 2, "t_end": 1}, r"take t_end = 2.0, or h = 1.0$"),
+        ({"h": 0.3, "t_end": 1}, r"take t_end = 0.9 or 1.2, or h = 0.25 or 0.3333333333333333$"),
+        ({"h": -0.3, "t0": 0.1, "t_end": -1}, r"take t_end = -0.8 or -1.1, or h = -0.275 or "),
         ({"h": 0.1, "t_end": -1.0}, "t_end = -1: expected a time after"),
         ({"h": 0.1}, "t_end and steps.*none"),
         ({"h": 0.1, "t_end": 1.0, "steps": 10}, "t_end and steps.*both"),

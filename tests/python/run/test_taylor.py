@@ -285,7 +285,7 @@ def test_what_it_does_not_take():
     for name, value in {
         "events": [lambda t, q, v: q[0]], "inputs": np.zeros((10, 1)), "journal": "run.dal",
     }.items():  # fmt: skip
-        words = rf"^{name} = [^~]* has no effect with method = 'taylor'"
+        words = rf"^{name} = [^~]*: not used with method = 'taylor'"
         with pytest.raises(ValueError, match=words):
             dal.integrate(cvt, "reference", **given, **{name: value})
     with pytest.raises(ValueError, match="observer and t_eval are both given: expected one"):
