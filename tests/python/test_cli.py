@@ -169,8 +169,8 @@ def test_version():
         (("study", "particle", "--scheme", "leapforg"), "did you mean 'leapfrog'"),
         (("study", "particle", "--initial", "D_esp"), "no 'D_esp'; did you mean 'D_eps'"),
         (("study", "knife_edge", "--parameter", "M=1"), "did you mean 'm'"),
-        (("study", "particle", "--q0", "0,1,0", "--no-report"), "q0 is given without v0"),
-        (("study", "particle", "--v0", "1,1,1", "--no-report"), "v0 is given without q0"),
+        (("study", "particle", "--q0", "0,1,0", "--no-report"), "--q0 is given without --v0"),
+        (("study", "particle", "--v0", "1,1,1", "--no-report"), "--v0 is given without --q0"),
         (("study", "particle", "--scheme", "trapezoid"), "leapfrog"),
         (("study", "particle", "--scheme", "no.so:x"), "no.so"),
         (("study", "knife_edge", "--parameter", "weight=3"), "weight"),
@@ -181,7 +181,7 @@ def test_version():
         (("study", "particle", "--q0", "0,1"), "q0"),
         (("study", "particle", "--q0", "0,1,0", "--v0", "1,1,0"), "violates the constraint"),
         (("study", "particle", "--initial", "E"), "D_eps"),
-        (("study", "particle", "--t-end", "0"), "t_end"),
+        (("study", "particle", "--t-end", "0"), "--t-end"),
         (
             ("study", "particle", "--output", "nowhere/report.html", "--scheme", "midpoint"),
             "nowhere",
@@ -245,7 +245,7 @@ def test_warnings_and_failures_are_lines_without_tracebacks(monkeypatch, capsys)
         (MemoryError("too large"), 1),
         (NotImplementedError("not yet"), 1),
         (dal.SingularError("mu has rank 0"), 1),
-        (ValueError("steps = x"), 2),
+        (ValueError("no steps"), 2),
         (KeyboardInterrupt(), 130),
     ):
         assert cli.main(["study", "particle", "--no-report"]) == status
@@ -312,8 +312,9 @@ def test_runs_journals_and_files(tmp_path, capsys):
     assert main(["info", path]) == 0
     text = capsys.readouterr().out
     for part in (
-        "sleigh(x, y, theta), built-in", "a = 0.3", "midpoint, h = 0.01, a state every 2 steps",
-        "100 of 100 steps, t = 1", "51, of ", "row 50, t = 1", "no events, no inputs",
+        "sleigh(x, y, theta), built-in", "a = 0.3",
+        "midpoint, h = 0.01, a state stored every 2 steps",
+        "100 of 100 steps, t = 1", "51 records of ", "row 50, t = 1", "events         none",
     ):  # fmt: skip
         assert part in text
     assert main(["resume", path, "--steps", "200", "--output", out]) == 0
@@ -355,7 +356,7 @@ def test_a_model_of_ones_own(tmp_path, capsys):
     assert "10 states" in capsys.readouterr().out
     assert main(["info", path]) == 0
     assert "user-defined" in capsys.readouterr().out
-    for name in ("number", "none"):
+    for name in ("number", "dal"):
         assert main(["run", f"{file}:{name}", "--h", "0.1", "--steps", "5"]) == 2
         assert "expected a dalembert.System, or a function" in capsys.readouterr().err
 
@@ -375,7 +376,7 @@ def test_the_run_that_is_recommended(tmp_path, capsys):
     end = dal.reference(system, q0, v0, t0=-1, t=4)
     found = dal.load(tmp_path / "a.npz", system)
     assert np.abs(found.q[-1] - end.q).max() < 1e-5 * (1 + np.abs(end.q).max())
-    for wrong, words in (["--accuracy=9", "accuracy = 9.0"], ["--q0=1,1,1", "without v0"]):
+    for wrong, words in (["--accuracy=9", "--accuracy 9.0"], ["--q0=1,1,1", "without --v0"]):
         assert cli.main([*asked, wrong]) == 2
         assert words in capsys.readouterr().err
     assert cli.main(["recommend", "particle"]) == 2
@@ -398,10 +399,18 @@ def test_a_file_that_cannot_be_is_refused_before_the_run(tmp_path, capsys, monke
     assert "expected a name that ends in .npz, .nc or .csv" in capsys.readouterr().err
 
 
+def test_a_warning_names_options_of_the_command(capsys):
+    assert cli.main(["run", "chaotic", "--h", "0.2", "--t-end", "100"]) == 0
+    err = capsys.readouterr().err
+    assert "(--h 0.2)" in err and err.endswith(
+        "turn this estimate off with --no-check-h\nnot saved: add --output FILE.nc\n"
+    )
+
+
 def test_a_velocity_that_is_not_in_D_may_be_projected(capsys):
     asked = ["run", "particle", "--h", "0.1", "--steps", "3", "--q0=0,1,0", "--v0=1,1,0"]
     assert cli.main(asked) == 2
-    assert "Pass consistent='project'" in capsys.readouterr().err
+    assert "Pass --consistent project to use the nearest admissible velocity\n" in capsys.readouterr().err
     assert cli.main([*asked, "--consistent", "project"]) == 0
 
 
@@ -436,6 +445,17 @@ system = dal.System(mass=[1, 1, 1], force=fails, q0=[0, 1, 0], v0=[1, 1, 1])
         (["run", "sleigh", "--steps", "3"], "the following arguments are required: --h"),
         (["run", "sleigh", "--h", "0.1", "--steps", "3", *["--parameter", "a=1"] * 2],
          "--parameter a is given more than once"),
+        (["run", "sleigh", "--dt", "0.1"], "unknown option --dt; did you mean '--h'?\nsee `dal"),
+        (["run", "sleigh", "--t_end", "1"], "unknown option --t_end; did you mean '--t-end'?\n"),
+        (["run", "sleigh", "--frob", "1"], "dalembert run: unknown option --frob\nsee `dalembert"),
+        (["run", "sleigh", "--h", "1", "--t-end", "x"], "--t-end: 'x'; expected a number\n"),
+        (["run", "sleigh", "--h", "1", "--steps", "1.5"], "'1.5'; expected a whole number\n"),
+        (["run", "sleigh", "--h", "0.3", "--t-end", "1"],
+         "take --t-end 0.9 or 1.2, or --h 0.25 or 0.3333333333333333\n"),
+        (["run", "sleigh", "--h", "0.1", "--t-end", "1", "--q0", "-1,0,0"],
+         "--q0 is given without --v0"),
+        (["run", f"{__file__}:flatt", "--h", "1", "--steps", "1"],
+         f"{__file__} has no 'flatt'; did you mean 'flat'?\n"),
         (["resume", "run.dal", "--parameter", "a=1"], "--parameter without MODEL"),
         (["run", "slegh", "--h", "0.1", "--steps", "3"], "did you mean 'sleigh'?"),
         (["run", "sleigh", "--h", "0.1", "--steps", "3", "--output", "a.txt"], "ends in .npz"),

@@ -10,13 +10,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from .. import compiler, core, systems
 from ..core import extras, files
@@ -88,11 +89,62 @@ def _in_words(error: OSError) -> str:
 
 
 def _say(given: argparse.Namespace, what: Any) -> None:
-    print(f"dalembert {given.command}: {what}", file=sys.stderr)
+    print(f"dalembert {given.command}: {_as_typed(str(what), vars(given))}", file=sys.stderr)
+
+
+# Advice of the package that has another form on the command line.
+_AS_TYPED = {
+    r"\bconsistent='(\w+)'": r"--consistent \1",
+    r", or compute it with system\.project\(q0, v0\)": "",
+    r"\bcheck_h=False\b": "--no-check-h",
+}
+
+
+def _as_typed(text: str, options: Iterable[str]) -> str:
+    """Return a message of the package with arguments of Python as options of the command."""
+    for python, typed in _AS_TYPED.items():
+        text = re.sub(python, typed, text)
+    for name in options:
+        here, typed = rf"(?<![\w.'-]){name}", f"--{name.replace('_', '-')}"
+        if name in ("command", "run", "system", "model", "file", "output"):
+            continue
+        text = re.sub(rf"{here} = '?([^\s',;:)]+)'?", rf"{typed} \1", text)
+        # Names that are English words are names of options only at the beginning.
+        is_name = "_" in name or name[-1] == "0" or name == "stride"
+        text = re.sub(rf"{here}\b" if is_name else rf"^{name}(?=:| is )", typed, text)
+    return text
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that suggests similar options, as in Python 3.14."""
+    """A parser whose errors are one line, with the name of a similar option."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        if args is None or self._subparsers is not None:  # before the name of the command
+            return super().parse_known_args(args, namespace)
+        words: list[str] = []
+        for word in args:
+            name = word.partition("=")[0]
+            if re.match(r"-[\d.]", word) and words and re.fullmatch("--[^=]+", words[-1]):
+                words[-1] += f"={word}"  # --q0 -1,0: a value that begins with a minus sign
+                continue
+            known = self._option_string_actions
+            if name.startswith("--") and not any(each.startswith(name) for each in known):
+                similar = "did you mean '--h'? " if name == "--dt" else suggestion(name, known)
+                self.error(f"unknown option {name}; {similar}".rstrip("; "))
+            words.append(word)
+        return super().parse_known_args(words, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}\nsee `{self.prog} --help`\n")
+
+    def _get_value(self, action: argparse.Action, text: str) -> Any:
+        try:
+            return super()._get_value(action, text)  # type: ignore[misc]
+        except argparse.ArgumentError:
+            if action.type not in (float, int):
+                raise
+            expected = "a number" if action.type is float else "a whole number"
+            raise argparse.ArgumentError(action, f"{text!r}; expected {expected}") from None
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
@@ -169,8 +221,7 @@ def _add_study_options(study: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE", help="set a parameter of the system (repeatable)")
     add("--q0", type=numbers, metavar="X,Y,...", help="initial positions, at t = 0")
     add("--v0", type=numbers, metavar="X,Y,...",
-        help="initial velocities, at t = 0, which satisfy the constraint (write --v0=-1,... for a "
-        "minus sign)")
+        help="initial velocities, at t = 0, which satisfy the constraint")
     add("--t-end", type=float, metavar="T",
         help="end time of the runs (default: 1, or later if errors would be below roundoff)")
     add("--steps", type=counts, metavar="N,N,...",

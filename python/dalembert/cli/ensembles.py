@@ -159,6 +159,8 @@ def _run(given: argparse.Namespace) -> int:
     print(found)
     if given.output is not None:
         _write(found, given.output)
+    elif given.store is None:
+        print("not saved: add --output FILE.nc", file=sys.stderr)
     return int(not found.success.any())
 
 

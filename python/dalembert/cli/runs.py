@@ -12,6 +12,7 @@ from typing import Any
 
 from .. import systems
 from ..core import extras, files, lib, string
+from ..core.arguments import suggestion
 from ..core.errors import DalembertError
 from ..run import Solution, integrate, load, resume
 from ..run.events import CONSISTENCY
@@ -23,7 +24,7 @@ from ..system import System
 
 MODEL = (
     "system: a name listed by `dalembert systems`, or FILE.py:NAME, where NAME is a System or a "
-    "function that returns one"
+    "function that returns one; the file is executed"
 )
 CONSISTENT = (
     "initial velocities that violate the constraint: raise an error (check, the default), project "
@@ -47,10 +48,9 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     for command in (advice, run):
         command.add_argument("model", metavar="MODEL", help=MODEL)
         command.add_argument("--q0", type=numbers, metavar="X,Y,...",
-                             help="initial positions (write --q0=-1,... for a minus sign)")
+                             help="initial positions")
         command.add_argument("--v0", type=numbers, metavar="X,Y,...",
-                             help="initial velocities, which satisfy the constraint (write "
-                             "--v0=-1,... for a minus sign)")
+                             help="initial velocities, which satisfy the constraint")
         command.add_argument("--t0", type=float, default=0.0, metavar="T",
                              help="start time (default: 0)")
     advice.add_argument("--t-end", type=float, required=True, metavar="T", help="end time")
@@ -150,7 +150,10 @@ def model(text: str, parameters: dict[str, float]) -> System:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
-    found = getattr(module, name, None)
+    if not hasattr(module, name):
+        there = [each for each in vars(module) if not each.startswith("_")]
+        raise ValueError(f"{path} has no {name!r}; {suggestion(name, there)}".rstrip("; "))
+    found = getattr(module, name)
     if callable(found) and not isinstance(found, System):
         found = found()
     if not isinstance(found, System):
@@ -200,6 +203,8 @@ def _finish(given: argparse.Namespace, make: Callable[[], Solution], journal: Pa
     print(run)
     if given.output is not None:
         run.save(given.output)
+    elif journal is None:
+        print("not saved: add --output FILE.nc", file=sys.stderr)
     return 0
 
 
@@ -245,20 +250,21 @@ def _info(given: argparse.Namespace) -> int:
     values = ", ".join(f"{name} = {x:g}" for name, x in about["parameters"].items())
     origin = "built-in" if about["of_library"] else "user-defined"
     digest = bytes(info.fingerprint[0:8]).hex()
-    events = f", {info.events} events" if info.events else ""
+    stored = "every state stored" if info.stride == 1 else f"a state stored every {info.stride} steps"
     steps, hold = journal.steps(), journal.about["hold"]
     held = f"a time of {hold:g}" if steps.varies else f"{hold} steps"
-    inputs = f", {info.inputs} inputs held for {held}" if info.inputs else ""
+    inputs = f"{info.inputs}, held for {held}" if info.inputs else "none"
     done = f"{info.done} of {info.steps} steps, t = {info.t0 + info.done * info.h:g}"
     if steps.varies:
         done = f"{info.done} steps; the run ends at t = {steps.t_end:g}"
     lines = {
         "system": f"{about['name']}({', '.join(about['coordinates'])}), {origin}, {digest}",
         "parameters": values or "none",
-        "scheme": f"{string(info.scheme)}, {steps.how}, a state every {info.stride} steps",
-        "besides": f"{events}{inputs}".removeprefix(", ") or "no events, no inputs",
+        "scheme": f"{string(info.scheme)}, {steps.how}, {stored}",
+        "events": f"{info.events or 'none'}",
+        "inputs": inputs,
         "last snapshot": done,
-        "records": f"{info.records}, of {info.size} bytes",
+        "journal": f"{info.records} records of {info.size} bytes",
         "written by": string(info.writer) + ", which is still writing" * bool(info.is_written),
     }
     if info.records:
@@ -276,4 +282,5 @@ def _export(given: argparse.Namespace) -> int:
     run = load(given.file, _system(given))
     run.save(given.output)
     print(run)
+    print(f"written: {given.output}")
     return 0

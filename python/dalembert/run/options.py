@@ -41,7 +41,7 @@ _FIXED = {"fixed", "kept"}
 # Advice for an option that the kind of run does not use, where it is not another kind of run.
 _INSTEAD = {
     "steps": "give t_end instead, because the steps vary",
-    "initial": "remove it; only schemes with kept nodes, such as 'midpoint-nodes', take it",
+    "initial": "remove it, because only schemes with kept nodes take it, such as 'midpoint-nodes'",
 }
 
 # Options that have an effect only beside another one.

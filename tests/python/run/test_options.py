@@ -160,8 +160,8 @@ def test_an_option_beside_another():
         ),
         (
             {"h": 0.1, "t_end": 1, "initial": "D"},
-            "initial = 'D': not used with a fixed step at moved nodes; remove it; only schemes "
-            "with kept nodes, such as 'midpoint-nodes', take it",
+            "initial = 'D': not used with a fixed step at moved nodes; remove it, because "
+            "only schemes with kept nodes take it, such as 'midpoint-nodes'",
         ),
         (
             {"h": 0.1, "t_end": 1, "tolerance": 1e-6},
@@ -241,16 +241,18 @@ def test_studies_refuse_what_has_no_effect():
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        ("--h auto --eps 0.1", "eps = 0.1: not used with h = 'auto'"),
-        ("--h 0.1 --tolerance 1e-6", "tolerance = 1e-06: not used with a fixed step"),
-        ("--h 0.1 --h-max 1", "h_max = 1.0: not used"),
-        ("--h 0.1 --initial D", "initial = 'D': not used"),
-        ("--h 0.1 --journal-errors stop", "journal_errors = 'stop': not used without journal"),
-        ("--h auto --energy keep", "energy = 'keep': not used with h = 'auto'"),
+        ("--h auto --eps 0.1", "--eps 0.1: not used with --h auto"),
+        ("--h 0.1 --tolerance 1e-6", "--tolerance 1e-06: not used with a fixed step"),
+        ("--h 0.1 --h-max 1", "--h-max 1.0: not used with a fixed step; remove it, or take --h auto"),
+        ("--h 0.1 --initial D", "--initial D: not used"),
+        ("--h 0.1 --journal-errors stop", "--journal-errors stop: not used without journal"),
+        ("--h auto --energy keep", "--energy keep: not used with --h auto"),
+        ("--h auto --steps 10", "--steps 10: not used with --h auto; give --t-end instead"),
     ],
 )
 def test_the_command_refuses_by_the_same_table(words, named, capsys):
-    assert cli.main(["run", "particle", "--t-end", "1", *words.split()]) == 2
+    end = [] if "--steps" in words else ["--t-end", "1"]
+    assert cli.main(["run", "particle", *end, *words.split()]) == 2
     assert named in capsys.readouterr().err
 
 
