@@ -250,7 +250,8 @@ def _info(given: argparse.Namespace) -> int:
     values = ", ".join(f"{name} = {x:g}" for name, x in about["parameters"].items())
     origin = "built-in" if about["of_library"] else "user-defined"
     digest = bytes(info.fingerprint[0:8]).hex()
-    stored = "every state stored" if info.stride == 1 else f"a state stored every {info.stride} steps"
+    many = f"a state stored every {info.stride} steps"
+    stored = "every state stored" if info.stride == 1 else many
     steps, hold = journal.steps(), journal.about["hold"]
     held = f"a time of {hold:g}" if steps.varies else f"{hold} steps"
     inputs = f"{info.inputs}, held for {held}" if info.inputs else "none"

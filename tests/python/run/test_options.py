@@ -243,7 +243,7 @@ def test_studies_refuse_what_has_no_effect():
     [
         ("--h auto --eps 0.1", "--eps 0.1: not used with --h auto"),
         ("--h 0.1 --tolerance 1e-6", "--tolerance 1e-06: not used with a fixed step"),
-        ("--h 0.1 --h-max 1", "--h-max 1.0: not used with a fixed step; remove it, or take --h auto"),
+        ("--h 0.1 --h-max 1", "--h-max 1.0: not used with a fixed step; remove it, or take --h a"),
         ("--h 0.1 --initial D", "--initial D: not used"),
         ("--h 0.1 --journal-errors stop", "--journal-errors stop: not used without journal"),
         ("--h auto --energy keep", "--energy keep: not used with --h auto"),
