@@ -478,14 +478,14 @@ typedef struct dal_stats {
                                    it; 1 for steps of size h */
     double least_step_t;        /* when */
     double error;               /* approximate error of the state at the end of a run, relative to
-                                   its size.  The size of a q is its range in the run, that of a v
-                                   its largest absolute value.  The estimate uses `remade` steps of
-                                   another size.  With whole = 1 these repeat the run, its first
-                                   131072 steps, or the part after its last reset; a value above
-                                   0.05 then means that h is too large.  With whole = 0 they repeat
-                                   samples and add up their errors; the sum usually exceeds the
-                                   error.  INFINITY: steps of h/2 failed, and those of h are
-                                   suspect.  NAN: no estimate, see dal_run */
+                                   its size: the range of a q, the largest |v|.  It uses `remade`
+                                   steps of another size.  With whole = 1 they repeat the run or its
+                                   first 131072 steps; above 0.05, h is too large.  With whole = 0
+                                   they repeat samples; the sum of their errors usually exceeds the
+                                   error.  With whole = 2 they repeat the steps since a reset or a
+                                   resume; their error is reported only if it is above 0.05.
+                                   INFINITY: steps of h/2 failed, and those of h are suspect.
+                                   NAN: no estimate, see dal_run */
     size_t remade, whole;
 } dal_stats;
 

@@ -18,6 +18,9 @@
  *
  * The error is INFINITY if no other step converges.
  *
+ * A part of the run is estimated after a reset (case 2), and in a resumed run.  Its error is no
+ * estimate for the whole run, and is reported only if it is LARGE: then h is too large.
+ *
  * Inputs may change from step to step, so that r > 1 is impossible: windows use r = 1/2, then
  * case 3 applies.  The motion is restored afterwards: see remake.c. */
 #include "run/events.h"
@@ -38,6 +41,7 @@ enum {
 };
 static const double SUSPECTED = 0.002, CHANGED = 0.01, TOILED = 2.5;
 static const double CLEAR = 0.01, NEAR = 0.15; /* the error; the difference that shows it */
+static const double LARGE = 0.05;      /* an error that means that h is too large */
 static const double GROWN = 10.0;      /* growth of the sizes since the last window */
 static const double SMALL = 1e-3;      /* least size, by the largest of the q, or of the v */
 static const double RESOLUTION = 1e-9; /* least size, relative to the largest coordinate */
@@ -259,6 +263,7 @@ void dal__guard_begin(dal_run *run)
     g->most_effort = 0.0;
     memcpy(g->low, stepper->motion.x, N * sizeof *g->low);
     memcpy(g->high, stepper->motion.x, N * sizeof *g->high);
+    for (size_t k = 0; run->x && k < run->stored; k++) see(g, stepper->mech.n, run->x + k * N);
     dal__clear(N, g->sum);
     dal__clear(N, g->rate);
     begin_piece(run);
@@ -360,6 +365,14 @@ static bool turn(dal_stepper *stepper)
     return dal__stepper_turn(stepper) == DAL_SUCCESS;
 }
 
+/* Discard the error of a part of the run, unless it is LARGE. */
+static void discard_part(dal__guard *g)
+{
+    if ((g->whole ? g->piece : g->begin) == 0 || g->error > LARGE) return;
+    g->error = (double)NAN;
+    g->whole = false;
+}
+
 void dal__guard_check(dal_run *run, size_t budget)
 {
     dal_stepper *const stepper = run->stepper;
@@ -368,6 +381,7 @@ void dal__guard_check(dal_run *run, size_t budget)
     if (!g->on || g->over) return;
     if (!g->checking && (!is_suspect(run) || steps < LEAST)) {
         g->over = true;
+        discard_part(g);
         return;
     }
     dal__remake_begin(stepper);
@@ -393,7 +407,8 @@ void dal__guard_check(dal_run *run, size_t budget)
     if (!g->over) dal__remake_pause(stepper);
     dal__remake_end(stepper);
     run->checks = g->over ? 0 : span - g->at;
-    if (!g->over || g->whole) return;
-    g->error = (double)INFINITY;
+    if (!g->over) return;
+    if (!g->whole) g->error = (double)INFINITY;
     g->whole = true;
+    discard_part(g);
 }

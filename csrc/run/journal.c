@@ -468,6 +468,7 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
         e->doubt_g = from[3];
     }
     if (status) return status;
+    dal__guard_forget(stepper); /* the estimate of an earlier run */
     from += DOUBTS;
     run->t_begin = from[0];
     run->row_time = from[1];

@@ -129,7 +129,7 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->largest_kinetic = stepper->jump.kinetic;
     dal__guards_tell(&stepper->guards, stats);
     stats->remade = stepper->guard.remade;
-    stats->whole = stepper->guard.whole;
+    stats->whole = !stepper->guard.whole ? 0 : stepper->guard.piece == 0 ? 1 : 2;
     stats->error = stepper->guard.error;
 }
 

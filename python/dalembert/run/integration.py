@@ -314,6 +314,9 @@ def resume(
     Scheme, step size and output times are those of the journal.  Pass functions again.  States
     after the last snapshot are computed again and compared with the journal.
 
+    Only the error of the resumed part can be estimated.  ``stats.error`` has it if it exceeds 0.05,
+    with the warning that h is too large; otherwise it is nan.
+
     Parameters
     ----------
     path : str or path
@@ -586,7 +589,8 @@ def doubts(solution: Any) -> Iterator[str]:
         )
     if stats.whole and stats.error > LARGE_ERROR:
         how = solution._how
-        size = f"about {100 * stats.error:.0f} % of its size"
+        least = "at least " if stats.whole == 2 else ""
+        size = f"{least}about {100 * stats.error:.0f} % of its size"
         about = size if stats.error < 1.0 else "larger than its size"
         yield (
             f"h may be too large ({how}): its error is unknown, because a run with h / 2 failed"

@@ -77,13 +77,15 @@ class Statistics:
         Approximate error of the last state, relative to its size.  The size of a q is its range in
         the run, that of a v its largest absolute value.  No size counts as less than 1e-3 of the
         largest of its kind.  The value is nan if there is no estimate.  It is inf if steps of h / 2
-        failed and the steps of h are suspect.
+        failed and the steps of h are suspect.  After `resume`, and in suspect runs after a reset,
+        only the steps since then can be repeated.  Their error is reported only above 0.05, which
+        means that h is too large; otherwise the value is nan.
     remade : int
         Steps of another size that were taken for this estimate.
     whole : int
-        1 if the estimate repeats the whole run, its first 131072 steps, or the part after its last
-        reset.  If 0, it repeats samples and adds up their errors; the sum usually exceeds the
-        error.
+        1 if the estimate repeats the whole run, or its first 131072 steps.  2 if it repeats the
+        steps since a reset or since `resume`.  If 0, it repeats samples and adds up their errors;
+        the sum usually exceeds the error.
     """
 
     steps: int = 0
@@ -104,7 +106,7 @@ class Statistics:
     jump_step: int = 0
     jump: float = 0.0
     largest_kinetic: float = 0.0
-    error: float = field(default=np.nan, compare=False)  # after a restart it is that of the rest
+    error: float = field(default=np.nan, compare=False)  # not after a restart
     remade: int = field(default=0, compare=False)
     whole: int = field(default=0, compare=False)
     rejected: int = 0
@@ -649,7 +651,7 @@ class Solution(Mapping[str, Any]):
         if np.isinf(self.stats.error):
             lines.append("  error of the last state: unknown, because a run with h / 2 failed")
         elif self.stats.error >= 0.0:
-            about = "about" if self.stats.whole else "at most about"
+            about = ("at most about", "about", "at least about")[self.stats.whole]
             lines.append(f"  error of the last state: {about} {self.stats.error:.0e} of its size")
         if self.stats.scaled or self.stats.unscaled:
             lost = f", except in {self.stats.unscaled} of {self.stats.steps} steps"

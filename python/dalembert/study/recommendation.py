@@ -38,14 +38,18 @@ class Tried:
     ----------
     scheme : str
     h : float or "auto"
+        At most ``abs(t_end - t0) / 100`` if it is a number.
     tolerance : float or None
         Tolerance of "auto" or of the reference flow.
     steps : int
         Number of steps to t_end.
     error : float
-        Expected error of the state at t_end, relative to ``1 + abs(x_i)``; NaN if every run failed.
+        Expected error of the state at t_end, relative to ``1 + abs(x_i)``, for this step; NaN if
+        every run failed.  It is never below the error of the reference solution.
     seconds : float
         Expected run time.
+    h_max : float or None
+        Longest step of "auto"; None if 100 steps or more are made without it.
     """
 
     scheme: str
@@ -54,14 +58,17 @@ class Tried:
     steps: int
     error: float
     seconds: float
+    h_max: float | None = None
 
     @property
     def how(self) -> str:
         """The scheme and its step, in words."""
         step = f"h = {self.h:.4g}" if isinstance(self.h, float) else f"h = {self.h!r}"
-        if self.tolerance is None:
-            return f"{self.scheme}, {step}"
-        return f"{self.scheme}, {step}, tolerance = {self.tolerance:.1g}"
+        if self.tolerance is not None:
+            step += f", tolerance = {self.tolerance:.1g}"
+        if self.h_max is not None:
+            step += f", h_max = {self.h_max:.4g}"
+        return f"{self.scheme}, {step}"
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,10 @@ def recommend(
     assumed to grow with the power of time observed in the trial; for variable steps at least with
     its square.  Changes of the motion after the trial are not taken into account.
 
+    No step is longer than ``abs(t_end - t0) / 100``, so that the run stores at least 100 states
+    after the first.  Errors and times are measured with the limited steps; the error can therefore
+    be far below the accuracy.
+
     Parameters
     ----------
     system : System
@@ -174,7 +185,7 @@ def recommend(
     x0 = geometry.initial_state(system, q0, v0)
     with quietly():
         pilot = _Pilot(system, x0, t0, t_end, inputs)
-        found = [_with_rows(one, t_end - t0) for one in _try_all(pilot, accuracy)]
+        found = [_with_stride(one, t_end - t0) for one in _try_all(pilot, accuracy)]
     tried = sorted(found, key=lambda one: _rank(one, accuracy))
     best = tried[0]
     if not best.error <= accuracy:
@@ -182,7 +193,11 @@ def recommend(
             f"accuracy = {accuracy:g}: no trial reached it at t = {t_end:g}; the smallest "
             f"error is that of {best.how}, {best.error:.0e}{pilot.doubt}"
         )
-    given = {"scheme": best.scheme, "h": best.h, "t_end": t_end, **_rows(best, t_end - t0)}
+    given: dict[str, Any] = {"scheme": best.scheme, "h": best.h, "t_end": t_end}
+    if _stride(best) > 1:
+        given["stride"] = _stride(best)
+    if best.h_max is not None:
+        given["h_max"] = best.h_max
     if t0 != 0.0:
         given["t0"] = t0
     if best.tolerance is not None:
@@ -193,26 +208,18 @@ def recommend(
     )  # fmt: skip
 
 
-def _with_rows(one: Tried, span: float) -> Tried:
-    """Return a trial with at least ROWS steps of fixed size, a multiple of the stride."""
+def _with_stride(one: Tried, span: float) -> Tried:
+    """Return a trial whose number of fixed steps is a multiple of the stride."""
     if one.steps == 0 or one.tolerance is not None:
         return one
     stride = _stride(one)
-    steps = stride * math.ceil(max(one.steps, ROWS) / stride)
-    return replace(one, h=span / steps, steps=steps, seconds=one.seconds * steps / one.steps)
+    steps = stride * math.ceil(one.steps / stride)
+    return replace(one, h=span / steps, steps=steps)
 
 
 def _stride(one: Tried) -> int:
     """Return the stride for at most MOST_ROWS stored states."""
     return 1 if one.scheme == "reference" else math.ceil(one.steps / MOST_ROWS)
-
-
-def _rows(best: Tried, span: float) -> dict[str, Any]:
-    """Return the arguments of `integrate` for ROWS to MOST_ROWS stored states, except a fixed h."""
-    found: dict[str, Any] = {"stride": _stride(best)} if _stride(best) > 1 else {}
-    if best.h == "auto" and best.steps < ROWS:
-        found["h_max"] = abs(span) / ROWS
-    return found
 
 
 def _rank(one: Tried, accuracy: float) -> tuple[bool, float]:
@@ -230,6 +237,12 @@ def _why(pilot: _Pilot, tried: list[Tried], accuracy: float) -> str:
     if len(accurate) > 1:
         words.append(f"; the next takes {accurate[1].seconds / best.seconds:.2g} times as long")
     words.append(".")
+    fewest = math.ceil(pilot.fewest / pilot.part)
+    if any(one.h_max is not None or one.steps == fewest for one in tried):
+        words.append(
+            f" Steps are at most (t_end - t0) / {ROWS} = {pilot.longest:.4g} long, so that a run "
+            "stores enough states for a plot."
+        )
     if pilot.part < 1.0:
         words.append(
             f" The trials ended at t = {pilot.end:g} and were extrapolated: errors grow like "
@@ -256,6 +269,8 @@ class _Pilot:
         )  # fmt: skip
         self.end = float(first.t[-1])
         self.part = (self.end - t0) / (t_end - t0)
+        self.longest = abs(t_end - t0) / ROWS
+        self.fewest = math.ceil(ROWS * self.part)  # steps of fixed size
         self.h = float(np.median(np.abs(np.diff(first.t))))
         # a quarter, a half, and the whole
         quarter = (self.end - t0) / 4
@@ -333,7 +348,7 @@ def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> T
     h, best = pilot.h * len(scheme.substeps) / 34, None
     failed = Tried(scheme.name, math.nan, None, 0, math.nan, math.inf)
     for _ in range(ATTEMPTS):
-        steps = max(1, math.ceil(abs(span) / h))
+        steps = max(pilot.fewest, math.ceil(abs(span) / h))
         begin = time.thread_time()
         try:
             run = pilot.run(scheme, pilot.end, h=span / steps, stride=steps)
@@ -350,7 +365,9 @@ def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> T
             best = one
         elif best is None and not failed.error <= error:
             failed = one
-        if ENOUGH * accuracy <= error <= accuracy or (steps == 1 and error <= accuracy):
+        if ENOUGH * accuracy <= error <= accuracy:
+            break
+        if steps == pilot.fewest and error <= accuracy:
             break
         factor = (MARGIN * accuracy / max(error, 1e-16)) ** (1.0 / scheme.order)
         factor = min(max(factor, 0.05), 4.0)
@@ -369,29 +386,35 @@ def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
         span = pilot.end - pilot.t0
         step = span / math.ceil(span / h)
     tolerance = max(least, accuracy * pilot.part ** pilot.power(least))
-    best = None
+    best, h_max = None, None
     failed = Tried(name, h, tolerance, 0, math.nan, math.inf)
     for _ in range(ATTEMPTS):
+        given = _options(h, h_max)
         begin = time.thread_time()
         try:
-            run = pilot.run(name, pilot.end, h=step, tolerance=tolerance, **_stored(h))
+            run = pilot.run(name, pilot.end, h=step, tolerance=tolerance, **given)
         except DalembertError:
             break
         seconds = (time.thread_time() - begin) / pilot.part
         error = pilot.error(run, tolerance)
         steps = math.ceil(run.stats.steps / pilot.part)
-        one = Tried(name, h, tolerance, steps, error, seconds)
+        if h == "auto" and h_max is None and steps < ROWS:
+            h_max = pilot.longest
+            continue
+        one = Tried(name, h, tolerance, steps, error, seconds, h_max)
         if error <= accuracy and (best is None or seconds < best.seconds):
             best = one
         elif best is None and not failed.error <= error:
             failed = one
         if ENOUGH * accuracy <= error <= accuracy or (tolerance == least and error > accuracy):
             break
+        if h_max is not None and error <= accuracy:  # a larger tolerance hardly changes the steps
+            break
         factor = MARGIN * accuracy / max(error, 1e-16)
         tolerance = min(max(tolerance * min(max(factor, 1e-3), 1e3), least), most)
     return best or failed
 
 
-def _stored(h: Any) -> dict[str, Any]:
-    """Return the options with which only the last state is stored."""
-    return {"stride": 2**40} if h == "auto" else {}
+def _options(h: Any, h_max: float | None) -> dict[str, Any]:
+    """Return the options of "auto": only the last state is stored."""
+    return {"stride": 2**40, "h_max": h_max} if h == "auto" else {}

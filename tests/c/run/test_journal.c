@@ -225,7 +225,7 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
             o->inputs[k * WIDTH + i] = sin(1.0 + (double)(k * WIDTH + i));
     }
     o->run = (dal_run){.stepper = o->stepper, .steps = p->steps, .stride = p->stride,
-                       .unchecked = 1, /* an estimate is that of the steps since a restart */
+                       .unchecked = 1, /* a restart discards the estimate */
                        .hold = p->hold, .x = p->timed ? NULL : o->x,
                        .reactions = p->timed ? NULL : o->reactions,
                        .inputs = p->table || p->controlled ? o->inputs : NULL,
@@ -799,6 +799,32 @@ static void test_longer(void)
     tear_down(&whole);
 }
 
+/* Resumed in the same stepper and dal_run: the estimate of the first part is not kept. */
+static void test_estimate(void)
+{
+    const plan p = {"sleigh", "leapfrog", 12, 1, 0, .table = false};
+    static outcome o;
+    dal_stats stats;
+    dal_error error = {0};
+    dal_journal *journal;
+    begin(&o, &p, in_folder("estimate"), 0);
+    o.run.unchecked = 0;
+    go(&o, SIZE_MAX);
+    dal_stepper_stats(o.stepper, &stats);
+    CHECK(stats.whole == 1 && stats.error < 0.01);
+    dal_journal_free(o.run.journal);
+    o.run = (dal_run){.stepper = o.stepper, .steps = 24, .stride = 1, .x = o.x,
+                      .reactions = o.reactions};
+    need(dal_journal_open(&journal, in_folder("estimate"), 1, NULL, &error), "open", error.text);
+    need(dal_journal_resume(journal, &o.run, &error), "resume", error.text);
+    dal_stepper_stats(o.stepper, &stats);
+    CHECK(o.run.done == 12 && isnan(stats.error) && stats.whole == 0 && stats.remade == 0);
+    go(&o, SIZE_MAX);
+    dal_stepper_stats(o.stepper, &stats);
+    CHECK(o.run.done == 24 && isnan(stats.error) && stats.whole == 0 && stats.remade > 0);
+    tear_down(&o);
+}
+
 /* ---- a disk that does not take it ------------------------------------------------------------ */
 
 static void test_full_disk(void)
@@ -977,6 +1003,7 @@ int main(void)
     test_other_runs();
     test_computed_again();
     test_longer();
+    test_estimate();
     test_full_disk();
     test_failed_step();
     test_after_failed_step();

@@ -208,14 +208,11 @@ def test_an_end_in_a_jump_of_the_inputs():
 
 
 def test_the_shortest_runs():
-    """As long as the longest of the steps made again; resets may leave nothing to make again."""
+    """As long as the longest of the steps made again."""
     for scheme in ("explicit", "leapfrog"):
         for steps in (6, 7, 8, 9):
             run, texts = told(dal.integrate, SPRING, scheme, h=0.9, steps=steps)
             assert run.stats.error > 0.02 and len(texts) == (run.stats.error > 0.05)
-    turn = dal.Event(lambda t, q, v: v[0], reset=lambda q, v: (q, v))
-    run, _ = told(dal.integrate, SPRING, "leapfrog", h=0.2, steps=1500, events=[turn])
-    assert np.isnan(run.stats.error) == (run.stats.remade == 0)
 
 
 def test_an_end_where_long_steps_are_right_by_chance():
@@ -284,6 +281,35 @@ def test_what_is_short_and_violent():
         method="DOP853", rtol=1e-12, atol=1e-12,
     ).y[:2, -1]  # fmt: skip
     assert abs(run.q[-1] - exact).max() > 0.2 and texts[0].startswith(TOO_LARGE)
+
+
+@pytest.mark.parametrize(
+    ("h", "steps", "large"), [(0.1, 94, False), (0.02, 1571, False), (0.12, 1309, True)]
+)
+def test_the_error_of_a_part_is_not_that_of_the_run(tmp_path, h, steps, large):
+    """Of a resumed run half of the steps are estimated: only a large error of them is reported."""
+    path, given = tmp_path / "run.dal", {"h": h, "steps": steps, "stride": steps}
+    first = told(dal.integrate, SPRING, "leapfrog", journal=path, **given)[0]
+    assert first.stats.whole == (steps != 1571) and first.stats.error > 0
+    run, texts = told(dal.resume, path, SPRING, steps=2 * steps)
+    assert error_on_spring(run) > 1.8 * error_on_spring(first) and run.stats.remade > 0
+    assert large == ("error of the last state" in repr(run)) == (len(texts) == 1)
+    if large:
+        assert run.stats.whole == 2 and 0.05 < run.stats.error < 0.7 * error_on_spring(run)
+        assert "at least about" in repr(run) and "at least about" in texts[0]
+    else:
+        assert np.isnan(run.stats.error)
+    again = told(dal.resume, path, SPRING)[0]  # which is over
+    assert np.isnan(again.stats.error) and np.array_equal(again.x, run.x)
+
+
+@pytest.mark.parametrize("steps", [150, 1500])
+def test_the_error_since_a_reset_is_not_that_of_the_run(steps):
+    """Resets at each turn, which change nothing: a thirtieth of the error is known, at most."""
+    turn = dal.Event(lambda t, q, v: v[0], reset=lambda q, v: (q, v))
+    run, texts = told(dal.integrate, SPRING, "leapfrog", h=0.2, steps=steps, events=[turn])
+    assert error_on_spring(run) > 0.02 and run.stats.remade > 0 and not texts
+    assert np.isnan(run.stats.error) and "error of the last state" not in repr(run)
 
 
 def test_runs_without_an_estimate():

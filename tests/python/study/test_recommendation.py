@@ -149,6 +149,27 @@ def test_a_run_has_rows_that_can_be_plotted(name, t_end, accuracy, only, monkeyp
         assert len(run.t) > 8 * turns or len(run.t) > 50_000
 
 
+def test_the_printed_error_is_that_of_the_printed_step():
+    """Of a short run, whose steps are limited to a hundredth of it."""
+    (x, y, z), (u, w, _) = [0.5, 0.3, -0.2], [1.0, 0.7, 0.3]
+    high, s, top = y + 10 * w, math.hypot(1, y), math.hypot(1, y + 10 * w)
+    c = u * s  # = x' sqrt(1 + y^2), which is constant, as y' is; z' = y x'
+    end = [x + c * (math.asinh(high) - math.asinh(y)) / w, high, z + c * (top - s) / w]
+    end = np.array([*end, c / top, w, c / top * high])
+    particle = dal.systems.particle()
+    for accuracy in (1e-8, 1e-4):
+        found = dal.recommend(particle, t_end=10, accuracy=accuracy)
+        limited = [one for one in found.tried if one.steps == 100 or one.h_max == 0.1]
+        assert len(limited) > 3 and "(t_end - t0) / 100 = 0.1 long" in found.why
+        for one in found.tried:
+            given = {"tolerance": one.tolerance, "h_max": one.h_max}
+            run = dal.integrate(particle, one.scheme, h=one.h, t_end=10, **given)
+            error = (abs(run.x[-1] - end) / (1 + abs(end))).max()
+            assert error / 1.5 - 1e-14 <= one.error <= 1.5 * error + 1e-13, one
+            assert (one.h_max is not None) == ("h_max" in one.how)
+            assert run.stats.steps == one.steps >= 100 or one.scheme == "reference"
+
+
 def test_what_cannot_be_reached_is_said():
     with pytest.raises(ValueError, match="accuracy = 1e-13: no trial .* the smallest error is"):
         dal.recommend(dal.systems.knife_edge(), t_end=1e6, accuracy=1e-13)
