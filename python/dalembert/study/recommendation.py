@@ -240,7 +240,7 @@ def _why(pilot: _Pilot, tried: list[Tried], accuracy: float) -> str:
     fewest = math.ceil(pilot.fewest / pilot.part)
     if any(one.h_max is not None or one.steps == fewest for one in tried):
         words.append(
-            f" Steps are at most (t_end - t0) / {ROWS} = {pilot.longest:.4g} long, so that a run "
+            f" Steps are at most |t_end - t0| / {ROWS} = {pilot.longest:.4g} long, so that a run "
             "stores enough states for a plot."
         )
     if pilot.part < 1.0:
