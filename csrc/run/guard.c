@@ -365,10 +365,10 @@ static bool turn(dal_stepper *stepper)
     return dal__stepper_turn(stepper) == DAL_SUCCESS;
 }
 
-/* Discard the error of a part of the run, unless it is LARGE. */
+/* Discard the error of a part of the run, unless steps computed again show that it is LARGE. */
 static void discard_part(dal__guard *g)
 {
-    if ((g->whole ? g->piece : g->begin) == 0 || g->error > LARGE) return;
+    if (g->whole ? g->piece == 0 || g->error > LARGE : g->begin == 0) return;
     g->error = (double)NAN;
     g->whole = false;
 }

@@ -312,6 +312,15 @@ def test_the_error_since_a_reset_is_not_that_of_the_run(steps):
     assert np.isnan(run.stats.error) and "error of the last state" not in repr(run)
 
 
+def test_samples_of_a_resumed_run_are_not_those_of_the_whole(tmp_path):
+    """A reset some steps before its end, at t = 100 pi, leaves only samples."""
+    path, h, steps = tmp_path / "run.dal", 0.12, 1309
+    turn = {"events": [dal.Event(lambda t, q, v: v[0], reset=lambda q, v: (q, v))]}
+    told(dal.integrate, SPRING, "leapfrog", h=h, steps=steps, journal=path, **turn)
+    run = told(dal.resume, path, SPRING, steps=2 * steps, **turn)[0]
+    assert error_on_spring(run) > 0.15 and run.stats.remade > 0 and np.isnan(run.stats.error)
+
+
 def test_runs_without_an_estimate():
     for given in (
         {"h": "auto", "t_end": 1}, {"h": 0.1, "steps": 50, "scheme": "reference"},
