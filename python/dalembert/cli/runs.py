@@ -55,7 +55,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
                              help="start time (default: 0)")
     advice.add_argument("--t-end", type=float, required=True, metavar="T", help="end time")
     advice.add_argument("--accuracy", type=float, default=1e-6, metavar="E",
-                        help="largest admissible error of the state at T, relative to 1 + |x| "
+                        help="largest admissible error of the state at T, relative to 1 + abs(x) "
                         "(default: 1e-6)")
     run.add_argument("--scheme", metavar="NAME",
                      help="name of a scheme, see `dalembert schemes`, or a number beta "

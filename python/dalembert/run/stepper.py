@@ -23,7 +23,7 @@ _double = np.dtype(np.float64)
 
 
 class Stepper:
-    """A system, a scheme and a current state, advanced by `step`.
+    """A system, a scheme and a current state, advanced step by step.
 
     The states are bitwise those of `integrate`.  Use a stepper in one thread at a time.
 

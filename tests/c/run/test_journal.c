@@ -547,8 +547,7 @@ static void test_damage(void)
         }
     }
     printf("# %zu bytes: %zu open, %zu go on, %zu are refused\n", size, opened, resumed, refused);
-    CHECK(opened + refused == 2 * size && resumed > size / 2
-          || brief());
+    CHECK((opened + refused == 2 * size && resumed > size / 2) || brief());
     tear_down(&whole);
 }
 
