@@ -121,12 +121,14 @@ def step_size(value: Any, t: float, name: str = "h") -> float:
     return h
 
 
-def integer(value: Any, name: str, least: int, most: int = 2**63 - 1) -> int:
+def integer(
+    value: Any, name: str, least: int, most: int = 2**63 - 1, kind: str = "an integer"
+) -> int:
     """Return ``value`` as an integer in least .. most; ValueError otherwise."""
     try:
         result = operator.index(value)
     except TypeError:
-        raise ValueError(f"{name} = {shown(value)}: expected an integer") from None
+        raise ValueError(f"{name} = {shown(value)}: expected {kind}") from None
     if not least <= result <= most:
         bound = f"at least {least}" if result < least else f"at most {most}"
         raise ValueError(f"{name} = {shown(result)}: expected {bound}")
@@ -263,8 +265,8 @@ def choice(value: Any, name: str, choices: dict[str, int]) -> int:
     """Return the number of an option given by name; ValueError otherwise."""
     if not isinstance(value, str) or value not in choices:
         raise ValueError(
-            f"{name} = {shown(value)}: {suggestion(value, choices)}expected one of "
-            f"{', '.join(map(repr, choices))}"
+            f"{name} = {shown(value)}: {suggestion(value, choices)}expected "
+            f"{'one of ' * (len(choices) > 1)}{', '.join(map(repr, choices))}"
         )
     return choices[value]
 

@@ -283,9 +283,10 @@ def dal_py_observer(step: int, t: float, x: Any, ctx: Any) -> int:
 def dal_py_control(step: int, t: float, x: Any, u: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     inputs = call.control(t, *_halves(call, x))
-    if type(inputs) is not _ndarray:
+    shape = (call.bytes_of_inputs // 8,)
+    if type(inputs) is not _ndarray or inputs.shape != shape:
         inputs = call.control_rows(inputs)
-    _write(u, inputs, (call.bytes_of_inputs // 8,), "inputs")
+    _write(u, inputs, shape, "inputs")
     return 0
 
 

@@ -293,7 +293,8 @@ def _ask(
     counts = [number_of_steps(t0, arguments.step_size(x, t0), t_end, steps) for x in many.tolist()]
     number = np.array(counts)[np.searchsorted(many, sizes)]
     stride = _stride(stride, kept, counts)
-    holds = 1 if hold is None else arguments.integer(hold, "hold", 1)
+    kind = "a whole number of steps"
+    holds = 1 if hold is None else arguments.integer(hold, "hold", 1, kind=kind)
     inputs = take_inputs(system, inputs)
     if inputs is not None and not is_control(inputs) and len(set(counts)) > 1:
         raise ValueError(

@@ -351,7 +351,10 @@ class Ensemble(Mapping[str, Any]):
 
     def _number(self, k: int | tuple[int, ...]) -> int:
         if not isinstance(k, tuple):
-            return arguments.integer(k, "k", -len(self), len(self) - 1) % len(self)
+            k = arguments.integer(k, "k", -(2**63))
+            if not -len(self) <= k < len(self):
+                raise ValueError(f"there is no member {k}: expected 0 to {len(self) - 1}")
+            return k % len(self)
         if len(k) != len(self.shape):
             raise ValueError(
                 f"k = {k}: expected a number, or {len(self.shape)} numbers, one for each axis"

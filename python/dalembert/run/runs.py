@@ -189,7 +189,7 @@ class Run:
         system, run = self.system, self.run
         self.callables = core.Callables(
             system.n, system.m, len(system.inputs), observer=observer, control=inputs,
-            control_rows=lambda value: one_row(value, system.inputs),
+            control_rows=lambda value: _returned_row(value, system.inputs),
         )  # fmt: skip
         self.context = run.observer_ctx = run.control_ctx = ffi.new_handle(self.callables)
         if observer is not None:
@@ -340,8 +340,20 @@ def _end(x: Array, n: int, shift: float) -> Array:
 def one_row(value: Any, names: tuple[str, ...]) -> Array:
     """Return inputs as an array of k numbers; a single input may be given as a number."""
     if value is None:
-        raise ValueError(f"inputs returned None: expected shape ({len(names)},)")
+        expected = f"{len(names)} numbers ({', '.join(names)})"
+        raise ValueError(f"inputs returned None: expected {expected}")
     return arguments.inputs(value, names, 1)[0]
+
+
+def _returned_row(value: Any, names: tuple[str, ...]) -> Array:
+    """Return the result of a controller as an array of k numbers."""
+    shape = arguments.shape(value)
+    if len(shape) == 1 and shape[0] != len(names):
+        raise ValueError(
+            f"inputs(t, q, v) returned {shape[0]} number{'s' * (shape[0] != 1)}: expected "
+            f"{len(names)} ({', '.join(names)})"
+        )
+    return one_row(value, names)
 
 
 def first_inputs(system: System, inputs: Any, holds: int, x0: Array, t0: float) -> Array | None:
@@ -358,7 +370,7 @@ def first_inputs(system: System, inputs: Any, holds: int, x0: Array, t0: float) 
         core.check(lib.DAL_EUSER if status else lib.DAL_SUCCESS)
         return arguments.inputs(found, system.inputs, 1)[0]
     if callable(inputs):
-        return one_row(inputs(t0, *np.split(x0.copy(), 2)), system.inputs)
+        return _returned_row(inputs(t0, *np.split(x0.copy(), 2)), system.inputs)
     return arguments.inputs(inputs, system.inputs, holds)[0].copy()
 
 

@@ -353,7 +353,8 @@ class Scheme:
         if name is None:
             raise ValueError(
                 f"initial is missing: {self.name!r} has kept nodes, so choose one of "
-                f"{', '.join(map(repr, INITIAL))}"
+                f"{', '.join(map(repr, INITIAL))}. For data in D, 'shift' moves q0 and 'project' "
+                "moves v0"
             )
         return arguments.choice(name, "initial", INITIAL)
 

@@ -612,7 +612,10 @@ class Solution(Mapping[str, Any]):
 
     def __getitem__(self, key: str) -> Any:
         if key not in self._KEYS:
-            raise KeyError(f"{key!r}: expected one of {', '.join(self._KEYS)}")
+            names = self.system.coordinates
+            place = names.index(key) if key in names else None
+            hint = "" if place is None else f". {key} is coordinate {place}: run.q[:, {place}]"
+            raise KeyError(f"{key!r}: expected one of {', '.join(self._KEYS)}{hint}")
         return getattr(self, key)
 
     def __iter__(self) -> Iterator[str]:
@@ -651,8 +654,13 @@ class Solution(Mapping[str, Any]):
         if np.isinf(self.stats.error):
             lines.append("  error of the last state: unknown, because a run with h / 2 failed")
         elif self.stats.error >= 0.0:
-            about = ("at most about", "about", "at least about")[self.stats.whole]
-            lines.append(f"  error of the last state: {about} {self.stats.error:.0e} of its size")
+            error, bound = self.stats.error, ("at most ", "", "at least ")[self.stats.whole]
+            size = f"about {error:.0e} of its size"
+            if error == 0.0:
+                size = "0"
+            elif error >= 0.95:
+                size = "as large as the state" if error < 1.5 else f"{error:.2g} times its size"
+            lines.append(f"  error of the last state: {bound}{size}")
         if self.stats.scaled or self.stats.unscaled:
             lost = f", except in {self.stats.unscaled} of {self.stats.steps} steps"
             lines.append(f"  energy kept{lost if self.stats.unscaled else ''}")

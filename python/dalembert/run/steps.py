@@ -97,7 +97,8 @@ class Steps:
     def hold(self, given: Any, inputs: Any) -> float:
         """Return the number of steps, or the time, for which a row of inputs applies."""
         if not self.varies:
-            return 1 if given is None else arguments.integer(given, "hold", 1)
+            kind = "a whole number of steps"
+            return 1 if given is None else arguments.integer(given, "hold", 1, kind=kind)
         if given is None and is_control(inputs):
             raise ValueError(
                 f"hold is missing: with h = {self.control['h']!r} give the time for which the "

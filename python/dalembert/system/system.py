@@ -1082,8 +1082,10 @@ def require_parameters(name: str, given: Iterable[str], known: Iterable[str]) ->
     """Raise ValueError for the first given parameter that the system does not have."""
     names = list(known)
     for key in given:
+        if not names:
+            raise ValueError(f"parameters: {key!r} is given, but the system {name!r} has none")
         if key not in names:
             raise ValueError(
                 f"parameters: {name!r} has no {key!r}; {arguments.suggestion(key, names)}it has "
-                f"{', '.join(names) or 'none'}"
+                f"{', '.join(names)}"
             )

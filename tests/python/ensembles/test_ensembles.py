@@ -404,7 +404,7 @@ def test_refusals(words, given):
 
 
 def test_parameters_of_a_system_without():
-    with pytest.raises(ValueError, match="'m'; it has none"):
+    with pytest.raises(ValueError, match="'m' is given, but the system .* has none"):
         many(in_python(), parameters={"m": [1, 2]}, h=0.1, steps=1)
 
 
@@ -590,6 +590,8 @@ def test_a_member_is_named_by_its_number_or_its_place_along_the_axes():
         ((0, -3), r"k\[1\] = -3: expected at least -2"),
         ((0, 0.5), r"k\[1\] = 0.5: expected an integer"),
         ((1,), r"k = \(1,\): expected a number, or 2 numbers"),
+        (6, r"there is no member 6: expected 0 to 5"),
+        (-7, r"there is no member -7: expected 0 to 5"),
     ):
         with pytest.raises(ValueError, match=text):
             found.member(place)

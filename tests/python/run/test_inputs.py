@@ -295,14 +295,15 @@ def test_a_controller_that_fails(cart):
     "given, text",
     [
         ({"inputs": np.zeros((5, 2))}, "inputs: expected shape"),
-        ({"inputs": lambda t, q, v: [1.0]}, "inputs: expected shape"),
-        ({"inputs": lambda t, q, v: None}, r"inputs returned None: expected shape \(2,\)"),
+        ({"inputs": lambda t, q, v: [1.0]}, r"v\) returned 1 number: expected 2 \("),
+        ({"inputs": lambda t, q, v: None}, r"inputs returned None: expected 2 numbers \("),
         ({"inputs": lambda t, q, v: np.array([1.0, np.inf])}, r"step 1 \(t = 0\): u\[1\] = inf"),
-        ({"inputs": lambda t, q, v: np.ones(3)}, r"inputs returned shape \(3,\)"),
+        ({"inputs": lambda t, q, v: np.ones(3)}, r"\(t, q, v\) returned 3 numbers: expected 2 \("),
         ({"inputs": lambda t: [1.0, 1.0]}, r"a function of \(t, q, v\)"),
         ({"inputs": {"left": 1.0}}, "right is missing"),
         ({"hold": 2}, "hold = 2: not used without inputs"),
         ({"inputs": [0.0, 0.0], "hold": 0}, "hold = 0"),
+        ({"inputs": [0.0, 0.0], "hold": 0.1}, "hold = 0.1: expected a whole number of steps"),
     ],
 )
 def test_refused_inputs_of_runs(given, text):

@@ -365,7 +365,7 @@ def test_no_steps(own):
         ({"h": 0.1, "steps": 10, "stride": 0}, "stride = 0"),
         ({"h": 0.1, "steps": 1, "consistent": "maybe"}, "consistent = 'maybe'.*'check'"),
         ({"h": 0.1, "steps": 1, "initial": "D"}, "initial = 'D'.*moved"),
-        ({"h": 0.1, "steps": 1, "scheme": "midpoint-nodes"}, "initial is missing.*'D_eps'"),
+        ({"h": 0.1, "steps": 1, "scheme": "midpoint-nodes"}, "initial is miss.*'shift' moves q0"),
         ({"h": 0.1, "steps": 1, "scheme": []}, r"scheme = \[\]: expected a Scheme"),
         ({"h": 0.1, "steps": 1, "observer": 3}, "observer = 3: expected a function"),
         ({"h": 0.1, "steps": 1, "progress": 3}, "progress = 3: expected True, False or a function"),
@@ -520,6 +520,8 @@ def test_solution_is_a_mapping(particle):
         np.testing.assert_equal(run[key], getattr(run, key))
     with pytest.raises(KeyError, match="lam"):
         run["lam"]
+    with pytest.raises(KeyError, match=r"z is coordinate 2: run\.q\[:, 2\]"):
+        run["z"]
     assert run.success and run.status == 0 and run.message == "10 steps to t = 1"
     assert run.stats.steps == run.stats.substeps == 10
     for scheme, stages in (("leapfrog", 1), ("leapfrog-kl8", 17), ("bm6", 10)):  # fused pairs

@@ -158,6 +158,18 @@ def test_changes_of_the_chart_are_counted_across_blocks(monkeypatch):
         np.testing.assert_array_equal(found.v, whole.v)
 
 
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [(0.0, "0"), (1e-3, "about 1e-03 of its size"), (1.2, "as large as the state"),
+     (20.0, "20 times its size")],
+)  # fmt: skip
+def test_the_size_of_the_error_in_words(error, text):
+    run = dal.integrate(dal.systems.particle(), h=0.1, steps=4)
+    stats = dataclasses.replace(run.stats, error=error, whole=1)
+    run = dataclasses.replace(run, stats=stats)
+    assert f"\n  error of the last state: {text}\n" in str(run)
+
+
 def test_what_a_run_says_of_itself(own):
     run = dal.integrate(own.system(), "midpoint", h=0.05, steps=40, stride=4, t0=1)
     assert str(run).splitlines() == [
