@@ -651,9 +651,9 @@ class System(Handle):
         """Check the system at a state: derivatives, rank, definiteness, integrability, growth.
 
         Derivatives are compared with differences over several distances.  An error below
-        ``1e-7 (1 + |derivative|)`` is not detected.  An entry whose differences do not converge, such as a second
-        derivative at a kink, is not judged.  Functions of v are checked at a second velocity too,
-        if they are defined there, and functions of time also at t + 1.
+        ``1e-7 (1 + |derivative|)`` is not detected.  An entry whose differences do not converge,
+        such as a second derivative at a kink, is not judged.  Functions of v are checked at a
+        second velocity too, if they are defined there, and functions of time also at t + 1.
 
         The growth vector of D shows whether D is integrable.  It is computed with many digits for
         systems from `from_sympy`.  With SymPy installed, this also holds for systems whose
