@@ -317,8 +317,13 @@ def test_runs_journals_and_files(tmp_path, capsys):
         "100 of 100 steps, t = 1", "51 records of ", "row 50, t = 1", "events         none",
     ):  # fmt: skip
         assert part in text
+    assert main(["resume", path]) == 0
+    assert "already complete; nothing was computed" in capsys.readouterr().err
+    assert main(["resume", path, "--t-end", "0.5"]) == 2
+    assert "--t-end 0.5 is before the end of the journal (t = 1)" in capsys.readouterr().err
     assert main(["resume", path, "--steps", "200", "--output", out]) == 0
-    assert "101 states" in capsys.readouterr().out
+    shown = capsys.readouterr()
+    assert "101 states" in shown.out and "already complete" not in shown.err
     sleigh = dal.systems.sleigh(a=0.3)
     whole = dal.integrate(sleigh, "midpoint", h=0.01, steps=200, stride=2)
     values = np.loadtxt(out, delimiter=",", skiprows=1)

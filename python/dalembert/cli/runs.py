@@ -235,10 +235,23 @@ def _run(given: argparse.Namespace) -> int:
 
 def _resume(given: argparse.Namespace) -> int:
     system = _system(given)
-    return _finish(given, lambda: resume(
+    goes_on = given.t_end is not None or given.steps is not None
+    is_complete = not goes_on and _is_complete(given.file)
+    status = _finish(given, lambda: resume(
         given.file, system, t_end=given.t_end, steps=given.steps,
         journal_errors=given.journal_errors, progress=progress(),
     ), given.file)  # fmt: skip
+    if is_complete:
+        print("the run was already complete; nothing was computed", file=sys.stderr)
+    return status
+
+
+def _is_complete(path: Path) -> bool:
+    journal = Journal.open(path)
+    steps, info = journal.steps(), journal.info
+    at_end = info.records > 0 and float(journal.records()[-1]["t"]) == steps.t_end
+    journal.close()
+    return at_end if steps.varies else int(info.done) == steps.count
 
 
 def _info(given: argparse.Namespace) -> int:

@@ -221,6 +221,13 @@ class Journal:
             return Steps(t0, end, math.nan, MOST, about["control"])
         if t_end is None and steps is None:
             steps = int(self.info.steps)
+        last = t0 + int(self.info.done) * h
+        t_end = None if t_end is None else arguments.number(t_end, "t_end")
+        if t_end is not None and (t_end - last) / h < -0.5:
+            raise ValueError(
+                f"t_end = {t_end:g} is before the end of the journal (t = {last:g}): expected a "
+                "later time"
+            )
         count = number_of_steps(t0, h, t_end, steps)
         return Steps(t0, t0 + count * h, h, count, {})
 

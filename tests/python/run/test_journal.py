@@ -183,6 +183,8 @@ def test_longer(tmp_path):
     for steps in (100, 299):
         with pytest.raises(ValueError, match=f"300 steps, but the run has only steps = {steps}"):
             dal.resume(path, steps=steps)
+    with pytest.raises(ValueError, match=r"^t_end = 2.99 is before the end .* \(t = 3\): expec"):
+        dal.resume(path, t_end=2.99)
 
 
 def test_an_event_in_the_first_step(tmp_path):
