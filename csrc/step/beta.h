@@ -15,12 +15,12 @@ int dal__beta_check(const dal_scheme *scheme, dal_error *error);
 /* What makes the steps of a stepper of this family; NULL for those of others. */
 dal_kernel *dal__beta_kernel(const dal_stepper *stepper);
 
-/* The compilation of the step routine to use for m < n constraints; the one for any sizes.  Some
- * have stages of momentum.h. */
+/* The compilation of the step routine to use for these sizes; the one for any.  Some have stages of
+ * momentum.h. */
 dal_kernel_fn dal__kernel_for(size_t n, size_t m, bool with_momenta);
 dal_kernel_fn dal__kernel_any(bool with_momenta);
 
-/* Those of kernel_row.c for n = 1, ..., 6, by m <= 4. */
+/* Those of kernel_row.c for n = 1, ..., 6, by m < n, at most 4. */
 #define DAL__ROWS(n) extern const dal_kernel_fn dal__plain_##n[5], dal__momenta_##n[5]
 DAL__ROWS(1);
 DAL__ROWS(2);

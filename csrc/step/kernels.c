@@ -18,6 +18,6 @@ dal_kernel_fn dal__kernel_any(bool with_momenta) { return with_momenta ? any_wit
 
 dal_kernel_fn dal__kernel_for(size_t n, size_t m, bool with_momenta)
 {
-    if (m > 4 || n > DAL_LENGTH(plain)) return dal__kernel_any(with_momenta);
+    if (m >= n || m > 4 || n > DAL_LENGTH(plain)) return dal__kernel_any(with_momenta);
     return (with_momenta ? momenta : plain)[n - 1][m];
 }

@@ -811,6 +811,9 @@ static void test_sizes(void)
 {
     enum { STEPS = 1000 };
     const char *const names[] = {"leapfrog", "midpoint-nodes"};
+    for (size_t n = 1; n <= 8; n++)
+        CHECK(dal__kernel_for(n, n, false) == dal__kernel_any(false)
+              && dal__kernel_for(n, n, true) == dal__kernel_any(true));
     for (size_t n = 1; n <= 6; n++)
         for (size_t m = 0; m < n && m <= 4; m++)
             for (int kind = 0; kind < 4; kind++) {
