@@ -37,7 +37,7 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     ImportError
         If SymPy is not installed.
     ValueError
-        If there are no names, or one occurs twice or is not an identifier.
+        If there are no names, or one occurs twice.
 
     Examples
     --------

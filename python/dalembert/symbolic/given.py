@@ -28,11 +28,7 @@ def named(names: str | Sequence[str]) -> tuple[Any, ...]:
     else:
         words = _several(names, "names")
     for word in words:
-        if not arguments.text(word, "names").isidentifier():
-            raise ValueError(
-                f"names: {word!r} is not an identifier; expected letters, digits and _, not "
-                "beginning with a digit"
-            )
+        arguments.text(word, "names")
     if not words or len(set(words)) != len(words):
         raise ValueError(f"names = {names!r}: expected at least one name, all different")
     return models.make_coordinates(words)
