@@ -529,7 +529,7 @@ def test_picture(midpoint):
         assert curve.get_color() == level.get_color()
         assert curve.get_linestyle() == level.get_linestyle()
     assert len({line.get_linestyle() for line in curves}) == 3
-    assert "tau" in ax.get_xlabel() and "units" in ax.get_ylabel()
+    assert "tau" in ax.get_xlabel() and ax.get_ylabel() == "largest component of |g|"
     assert ax.get_title() == "particle: midpoint with p = 2"
     _, mine = pyplot.subplots()
     assert dal.plot.perturbation(midpoint, mine, hs=[0.2], z=Z + 0.1) is mine
