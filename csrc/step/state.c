@@ -119,10 +119,10 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
 {
     if (!stepper) return DAL_EINVAL;
     const size_t n = stepper->mech.n, m = stepper->mech.m, N = 2 * n;
-    double *const of_family = values + before_family(stepper);
     int status = check_resumable(stepper, values);
     if (!status) status = dal__stepper_started(stepper);
     if (status) return status;
+    double *const of_family = values + before_family(stepper);
     field fields[FIELDS];
     const double of[OF] = {VERSION, (double)n, (double)m, stepper->identity,
                            stepper->pace.tolerance, longest(stepper),
