@@ -484,7 +484,7 @@ def test_bad_arguments(given, text):
 
 def test_derivatives_by_time_need_time():
     for name in ("constraint_t", "lagrangian_vt"):
-        with pytest.raises(ValueError, match=f"{name}: expected time_dependent=True"):
+        with pytest.raises(ValueError, match=f"{name} is given: expected time_dependent=True"):
             dal.System(mass=[1, 1], **{name: lambda t, q, v: [0]})
 
 
