@@ -107,7 +107,7 @@ def start_up() -> bool:
 
 
 def growth_vector() -> bool:
-    """Of the largest of the systems, to its end; the least of some."""
+    """Return the least time of several runs of the largest system, to its end."""
     system = trailers(10)
     q = np.linspace(0.1, 1.3, system.n)
     times: list[list[float]] = [[], []]

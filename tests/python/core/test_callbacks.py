@@ -123,7 +123,7 @@ def test_arguments_are_aligned():
 
 
 def test_an_argument_may_be_returned():
-    """Of V = q.q/2 the gradient is q, the very array that was given; of the force v it is v."""
+    """The gradient of V = q.q/2 is q, the very array that was given; the force v is v."""
     system = dal.System(
         mass=[1, 1],
         potential=lambda q: q @ q / 2,

@@ -415,7 +415,7 @@ AMPLITUDE, FREQUENCY = np.array([1.5, -0.7]), 1.3
 
 
 def driven_exact(t, q0, v0, t0=0.0):
-    """Of qddot + q = A cos(w t): a part that oscillates with w, and one with 1."""
+    """The solution of qddot + q = A cos(w t) has a part of frequency w, and one of frequency 1."""
     w, a = FREQUENCY, AMPLITUDE / (1 - FREQUENCY**2)
     c, s = q0 - a * np.cos(w * t0), v0 + a * w * np.sin(w * t0)
     q = a * np.cos(w * (t0 + t)) + c * np.cos(t) + s * np.sin(t)
@@ -693,7 +693,7 @@ def test_ball_on_a_turning_table():
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_ball_keeps_the_order(scheme):
-    """Of all of the state against the flow; and of the circle, at the two coarsest steps."""
+    """The order of the state against the flow, and against the circle at the two coarsest steps."""
     system, q, v = Ball().system()
     keeps_order(system, scheme, q, v)
     order = dal.Scheme.of(scheme).order

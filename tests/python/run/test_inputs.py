@@ -352,7 +352,7 @@ def test_expressions_are_held(compiler, h, monkeypatch):
 
 
 def test_expressions_are_what_functions_are():
-    """Of symbols, of dynamicsymbols and of names, with the time and parameters."""
+    """Inputs are symbols, dynamicsymbols or names; laws have the time and parameters."""
     left, right = dynamicsymbols("left right")
     x, y, theta = dal.coordinates("x y theta")
     brake = sympy.Symbol("brake")
@@ -907,7 +907,7 @@ def test_ensembles_of_driven_members():
 
 
 def test_multipliers_of_members_with_a_law():
-    """Of the inputs that begin at a row, also where the law makes them at that moment."""
+    """Multipliers at a row belong to the inputs that begin there, also if a law computes them."""
     x, y = dal.coordinates("x y")
     push = sympy.Symbol("push")
     system = dal.System.from_sympy(

@@ -287,7 +287,7 @@ def test_what_is_short_and_violent():
     ("h", "steps", "large"), [(0.1, 94, False), (0.02, 1571, False), (0.12, 1309, True)]
 )
 def test_the_error_of_a_part_is_not_that_of_the_run(tmp_path, h, steps, large):
-    """Of a resumed run half of the steps are estimated: only a large error of them is reported."""
+    """The estimate covers half of a resumed run: only a large error of that half is reported."""
     path, given = tmp_path / "run.dal", {"h": h, "steps": steps, "stride": steps}
     first = told(dal.integrate, SPRING, "leapfrog", journal=path, **given)[0]
     assert first.stats.whole == (steps != 1571) and first.stats.error > 0

@@ -150,7 +150,7 @@ def test_a_run_has_rows_that_can_be_plotted(name, t_end, accuracy, only, monkeyp
 
 
 def test_the_printed_error_is_that_of_the_printed_step():
-    """Of a short run, whose steps are limited to a hundredth of it."""
+    """The steps of a short run are limited to a hundredth of it."""
     (x, y, z), (u, w, _) = [0.5, 0.3, -0.2], [1.0, 0.7, 0.3]
     high, s, top = y + 10 * w, math.hypot(1, y), math.hypot(1, y + 10 * w)
     c = u * s  # = x' sqrt(1 + y^2), which is constant, as y' is; z' = y x'

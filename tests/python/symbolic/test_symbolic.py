@@ -276,7 +276,7 @@ def test_derivatives_are_those_by_each_symbol(seed):
 
 @pytest.mark.parametrize("engine", ["sympy", "symengine"])
 def test_work_grows_with_what_is_there(engine, monkeypatch):
-    """Of four times as many skates: the derivatives that are taken, and the lines of the program.
+    """Four times as many skates take four times as many derivatives and lines of the program.
 
     Their matrices grow sixteenfold.
     """

@@ -452,7 +452,7 @@ def test_rows_that_depend_on_the_way():
 
 
 def test_rows_that_vanish_on_the_way_are_named():
-    """Of two constraints the second one, where x = 0, between a node and the end of a step."""
+    """The second of two constraints vanishes at x = 0, between a node and the end of a step."""
     x, y, z, w = dal.coordinates("x y z w")
     rows = [w.d - 2 * z.d, x * (x.d + y.d)]
     system = dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2 + w.d**2) / 2, rows)
