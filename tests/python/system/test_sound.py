@@ -478,5 +478,5 @@ def test_rows_of_many_constraints_that_depend():
 
 def test_kept_components_and_the_rows_that_depend():
     system = system_of(np.array([[1.0, 1, 1], [3, 3, 1]]), np.eye(3), np.zeros(3))
-    with pytest.raises(dal.SingularError, match=r"below m = 2; fix fewer: .*\[1\] equals 3 constraints\[0\]"):
+    with pytest.raises(dal.SingularError, match=r"fix fewer: .*\[1\] equals 3 constraints\[0\]"):
         system.consistent([0, 0, 0], [1, 1, 1], keep=[2])
