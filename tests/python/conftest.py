@@ -141,6 +141,13 @@ def particle():
     return dal.systems.particle()
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pictures on pages are empty, which takes no time; what is said about them stays."""
+    empty = "<svg ></svg>"
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **__: file.write(empty))
+
+
 def particle_forms(q):
     return np.array([[-q[1], 0.0, 1.0]])
 

@@ -9,6 +9,7 @@ import shlex
 import subprocess
 import sys
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,56 +19,45 @@ from dalembert import cli
 from dalembert.study import refinement
 
 
-def run(*arguments, cwd=None, **environment):
-    return subprocess.run(
-        [sys.executable, "-m", "dalembert", *arguments],
-        cwd=cwd,
-        text=True,
-        capture_output=True,
-        env={**os.environ, **environment},
-        timeout=240,
-    )
+COMMAND = [sys.executable, "-m", "dalembert"]
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """The command in a folder of its own: its status, and what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        status = cli.main(arguments)
+        shown = capsys.readouterr()
+        return SimpleNamespace(status=status, out=shown.out, err=shown.err)
+
+    return call
 
 
 def flat(text):
     return " ".join(text.split())
 
 
-def test_study_prints_the_table_and_writes_the_report(tmp_path):
-    done = run(
-        "study", "particle", "--scheme", "midpoint", "--scheme", "midpoint-nodes", cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
+def test_study_prints_the_table_and_writes_the_report(run, tmp_path):
+    done = run("study", "particle", "--scheme", "midpoint", "--scheme", "midpoint-nodes")
+    assert done.status == 0, done.err
     found = dal.studies(dal.systems.particle(), ["midpoint", "midpoint-nodes"])
-    first, titles, *rows = done.stdout.splitlines()
+    first, titles, *rows = done.out.splitlines()
     assert first == found.sentence() and titles.split()[:2] == ["scheme", "verdict"]
     assert [row.split()[:2] for row in rows] == [["midpoint", "holds"], ["midpoint-nodes", "holds"]]
-    assert max(map(len, done.stdout.splitlines())) <= 100
-    assert "writing report.html" in done.stderr
+    assert max(map(len, done.out.splitlines())) <= 100
+    assert "writing report.html" in done.err
     assert (tmp_path / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
-def test_options_reach_the_study(tmp_path):
+def test_options_reach_the_study(run, tmp_path):
     done = run(
-        "study",
-        "knife-edge",
-        "--scheme",
-        "0.5",
-        "--parameter",
-        "m=3",
-        "--t-end",
-        "0.5",
-        "--steps",
-        "10,15,20,30",
-        "--q0=-1,0,0.5",
-        "--v0",
-        f"{math.cos(0.5)!r},{math.sin(0.5)!r},1",
-        "--no-report",
-        "--json",
-        "out.json",
-        cwd=tmp_path,
-    )
-    assert done.returncode == 0, done.stderr
+        "study", "knife-edge", "--scheme", "0.5", "--parameter", "m=3", "--t-end", "0.5",
+        "--steps", "10,15,20,30", "--q0=-1,0,0.5",
+        "--v0", f"{math.cos(0.5)!r},{math.sin(0.5)!r},1", "--no-report", "--json", "out.json",
+    )  # fmt: skip
+    assert done.status == 0, done.err
     assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
     data = json.loads((tmp_path / "out.json").read_text())
     (one,) = data["studies"]
@@ -78,41 +68,27 @@ def test_options_reach_the_study(tmp_path):
     assert one["q0"] == [-1, 0, 0.5]
 
 
-def test_json_on_standard_output_stands_alone():
-    done = run(
-        "study",
-        "particle",
-        "--scheme",
-        "midpoint-nodes",
-        "--initial",
-        "shift",
-        "--json",
-        "--no-report",
-    )
-    assert done.returncode == 0
-    (one,) = json.loads(done.stdout)["studies"]
+def test_json_on_standard_output_stands_alone(run):
+    kept = ["--scheme", "midpoint-nodes", "--initial", "shift"]
+    done = run("study", "particle", *kept, "--json", "--no-report")
+    assert done.status == 0
+    (one,) = json.loads(done.out)["studies"]
     assert one["initial"] == "shift" and one["scheme"] == "midpoint-nodes"
-    assert done.stderr.startswith("On particle, midpoint-nodes has its promised order")
+    assert done.err.startswith("On particle, midpoint-nodes has its promised order")
 
 
-def test_steps_that_are_too_coarse_have_no_verdict():
-    # Steps of 1 to 2.5 are far from where the error is a power of h.
-    done = run(
-        "study", "knife_edge", "--scheme", "midpoint", "--t-end", "5", "--steps", "2,3,4,5",
-        "--no-report",
-    )  # fmt: skip
-    assert done.returncode == 0
-    assert "On knife_edge there is no verdict on midpoint." in flat(done.stdout)
-
-
-def test_slopes_that_still_rise_are_undecided():
-    done = run(
-        "study", "particle", "--scheme", "midpoint", "--t-end", "20", "--steps", "4,5,6,8,10",
-        "--no-report", "--tables",
-    )  # fmt: skip
-    assert done.returncode == 0
-    assert "take finer steps" in flat(done.stdout)
-    assert done.stdout.startswith("On particle there is no verdict on midpoint.\n")
+@pytest.mark.parametrize(
+    ("system", "options", "words"),
+    [  # steps of 1 to 2.5 are far from where the error is a power of h; slopes that still rise
+        ("knife_edge", ["--t-end", "5", "--steps", "2,3,4,5"], ""),
+        ("particle", ["--t-end", "20", "--steps", "4,5,6,8,10", "--tables"], "take finer steps"),
+    ],
+)
+def test_steps_that_are_too_coarse_have_no_verdict(run, system, options, words):
+    done = run("study", system, "--scheme", "midpoint", *options, "--no-report")
+    assert done.status == 0
+    assert flat(done.out).startswith(f"On {system} there is no verdict on midpoint.")
+    assert words in flat(done.out)
 
 
 def test_a_wrong_promise_is_status_1(monkeypatch, capsys):
@@ -125,37 +101,45 @@ def test_a_wrong_promise_is_status_1(monkeypatch, capsys):
     assert cli.main(["study", "particle", "--no-report"]) == 0
 
 
-def test_systems_and_schemes_are_listed_one_line_each():
+def test_systems_and_schemes_are_listed_one_line_each(run):
     done = run("systems")
-    assert done.returncode == 0
+    assert done.status == 0
     heading = "\n\nDefined in SymPy, which has to be installed:\n"
-    in_c, in_sympy = (part.splitlines() for part in done.stdout.split(heading))
+    in_c, in_sympy = (part.splitlines() for part in done.out.split(heading))
     assert [line.split()[0] for line in in_c] == list(dal.systems.names())
     assert [line.split()[0] for line in in_sympy] == list(dal.systems.names_in_sympy())
     done = run("schemes")
-    assert done.returncode == 0
-    lines, footer = (part.splitlines() for part in done.stdout.split("\n\nBesides these:\n"))
+    assert done.status == 0
+    lines, footer = (part.splitlines() for part in done.out.split("\n\nBesides these:\n"))
     assert [line.split()[0] for line in lines] == [scheme.name for scheme in dal.schemes()]
     assert [line.split()[0] for line in footer] == ["N", "N-nodes", "pair:A:B", "FILE.so:SYMBOL"]
     assert all(len(line.split()) > 2 for line in [*lines, *footer])
+
+
+STUDY = ["study", "particle", "--scheme", "midpoint", "--no-report"]
 
 
 def test_a_reader_that_leaves_is_no_error():
     read, write = os.pipe()
     os.close(read)
     done = subprocess.run(
-        [sys.executable, "-m", "dalembert", "study", "particle", "--no-report"],
-        stdout=write,
-        stderr=subprocess.PIPE,
-        text=True,
-        timeout=240,
+        [*COMMAND, *STUDY], stdout=write, stderr=subprocess.PIPE, text=True, timeout=240
     )
     os.close(write)
     assert done.returncode == 141 and done.stderr == ""
 
 
-def test_version():
-    assert run("--version").stdout == f"dalembert {dal.__version__}\n"
+def test_a_closed_standard_output(tmp_path):
+    done = subprocess.run(
+        shlex.join([*COMMAND, *STUDY, "--json", "a.json"]) + " >&-",
+        shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=240,
+    )  # fmt: skip
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    assert (tmp_path / "a.json").exists()
+
+
+def test_version(run):
+    assert run("--version").out == f"dalembert {dal.__version__}\n"
 
 
 @pytest.mark.parametrize(
@@ -182,25 +166,22 @@ def test_version():
         (("study", "particle", "--q0", "0,1,0", "--v0", "1,1,0"), "violates the constraint"),
         (("study", "particle", "--initial", "E"), "D_eps"),
         (("study", "particle", "--t-end", "0"), "--t-end"),
-        (
-            ("study", "particle", "--output", "nowhere/report.html", "--scheme", "midpoint"),
-            "nowhere",
-        ),
+        (("study", "disk", *["--parameter", "R=1"] * 2), "--parameter R is given more than once"),
+        (("study", "disk", "--no-report", "--output", "x.html"), "not allowed with"),
     ],
 )
-def test_usage_errors_are_status_2_and_say_what_there_is(
-    arguments, message, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(arguments) == 2
-    assert message in capsys.readouterr().err
+def test_usage_errors_are_status_2_and_say_what_there_is(arguments, message, run, tmp_path):
+    done = run(*arguments)
+    assert done.status == 2 and message in done.err
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
     "arguments, message",
     [
+        (("study", "particle", "--output", "/"), "/: "),
         (("study", "particle", "--output", "folder"), "folder: this is a folder; expected"),
+        (("study", "particle", "--output", "file/a.html"), "file/a.html: "),
         (("study", "particle", "--json", "folder"), "folder: this is a folder; expected"),
         (("study", "particle", "--json", "nowhere/a.json"), "there is no folder nowhere"),
         (("study", "particle", "--output", "/proc/a.html"), "/proc/a.html: No such file"),
@@ -211,20 +192,17 @@ def test_usage_errors_are_status_2_and_say_what_there_is(
         (("catalogue", "nowhere/a"), "there is no folder nowhere"),
     ],
 )
-def test_files_are_tried_before_the_work_begins(
-    arguments, message, tmp_path, monkeypatch, capsys
-):
+def test_files_are_tried_before_the_work_begins(arguments, message, run, tmp_path, monkeypatch):
     def work(*given, **options):
         raise AssertionError("it began")
 
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("here before")
     monkeypatch.setattr(cli, "studies", work)
     monkeypatch.setattr(cli.pages, "write", work)
-    assert cli.main(arguments) == 2
-    out, err = capsys.readouterr()
-    assert message in err and err.startswith(f"dalembert {arguments[0]}: ") and not out
+    done = run(*arguments)
+    assert done.status == 2 and message in done.err and not done.out
+    assert done.err.startswith(f"dalembert {arguments[0]}: ")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
     assert (tmp_path / "file").read_text() == "here before"
 
@@ -264,6 +242,7 @@ def test_without_matplotlib_the_tables_come_and_the_line_to_type(tmp_path, monke
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_was_finished_before_ctrl_c_is_written(tmp_path, monkeypatch, capsys):
     finished = dal.studies(dal.systems.particle(), ["midpoint"], steps=[10, 20, 40])
 
@@ -282,34 +261,16 @@ def test_what_was_finished_before_ctrl_c_is_written(tmp_path, monkeypatch, capsy
     assert json.loads(numbers.read_text())["studies"][0]["scheme"] == "midpoint"
 
 
-def test_nothing_that_is_typed_is_dropped(tmp_path):
-    twice = run("study", "disk", "--parameter", "R=1", "--parameter", "R=2", cwd=tmp_path)
-    assert twice.returncode == 2 and "--parameter R is given more than once" in twice.stderr
-    both = run("study", "disk", "--no-report", "--output", "x.html", cwd=tmp_path)
-    assert both.returncode == 2 and "not allowed with" in both.stderr
-
-
-def test_a_closed_standard_output(tmp_path):
-    done = subprocess.run(
-        f"{sys.executable} -m dalembert study particle --scheme leapfrog --output r.html >&-",
-        shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=240,
-    )  # fmt: skip
-    assert done.returncode == 0 and "Traceback" not in done.stderr
-    assert (tmp_path / "r.html").exists()
-
-
 # ---- single runs -----------------------------------------------------------------------------
 
 
 def test_runs_journals_and_files(tmp_path, capsys):
     """run, info, resume, export: what the package gives."""
-    from dalembert.cli import main
-
     path, out = str(tmp_path / "run.dal"), str(tmp_path / "run.csv")
     options = ["--h", "0.01", "--parameter", "a=0.3", "--stride", "2", "--scheme", "midpoint"]
-    assert main(["run", "sleigh", *options, "--t-end", "1", "--journal", path]) == 0
+    assert cli.main(["run", "sleigh", *options, "--t-end", "1", "--journal", path]) == 0
     assert "51 states at t = 0 .. 1, every 2 steps" in capsys.readouterr().out
-    assert main(["info", path]) == 0
+    assert cli.main(["info", path]) == 0
     text = capsys.readouterr().out
     for part in (
         "sleigh(x, y, theta), built-in", "a = 0.3",
@@ -317,11 +278,11 @@ def test_runs_journals_and_files(tmp_path, capsys):
         "100 of 100 steps, t = 1", "51 records of ", "row 50, t = 1", "events         none",
     ):  # fmt: skip
         assert part in text
-    assert main(["resume", path]) == 0
+    assert cli.main(["resume", path]) == 0
     assert "already complete; nothing was computed" in capsys.readouterr().err
-    assert main(["resume", path, "--t-end", "0.5"]) == 2
+    assert cli.main(["resume", path, "--t-end", "0.5"]) == 2
     assert "--t-end 0.5 is before the end of the journal (t = 1)" in capsys.readouterr().err
-    assert main(["resume", path, "--steps", "200", "--output", out]) == 0
+    assert cli.main(["resume", path, "--steps", "200", "--output", out]) == 0
     shown = capsys.readouterr()
     assert "101 states" in shown.out and "already complete" not in shown.err
     sleigh = dal.systems.sleigh(a=0.3)
@@ -329,10 +290,10 @@ def test_runs_journals_and_files(tmp_path, capsys):
     values = np.loadtxt(out, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(values[:, 1:7], whole.x)
     saved = str(tmp_path / "run.npz")
-    assert main(["export", path, saved]) == 0
+    assert cli.main(["export", path, saved]) == 0
     np.testing.assert_array_equal(dal.load(saved).x, whole.x)
     capsys.readouterr()
-    assert main(["info", saved]) == 0
+    assert cli.main(["info", saved]) == 0
     assert "Solution of sleigh by midpoint" in capsys.readouterr().out
 
 
@@ -348,21 +309,19 @@ number = 3
 
 
 def test_a_model_of_ones_own(tmp_path, capsys):
-    from dalembert.cli import main
-
     file, path = tmp_path / "own.py", str(tmp_path / "run.dal")
     file.write_text(MODEL)
     for name in ("system", "make"):
-        assert main(["run", f"{file}:{name}", "--h", "0.1", "--steps", "5"]) == 0
-    assert main(["run", f"{file}:system", "--h", "0.1", "--steps", "5", "--journal", path]) == 0
-    assert main(["resume", path, "--steps", "9"]) == 2
+        assert cli.main(["run", f"{file}:{name}", "--h", "0.1", "--steps", "5"]) == 0
+    assert cli.main(["run", f"{file}:system", "--h", "0.1", "--steps", "5", "--journal", path]) == 0
+    assert cli.main(["resume", path, "--steps", "9"]) == 2
     assert "not a built-in system" in capsys.readouterr().err
-    assert main(["resume", path, f"{file}:make", "--steps", "9"]) == 0
+    assert cli.main(["resume", path, f"{file}:make", "--steps", "9"]) == 0
     assert "10 states" in capsys.readouterr().out
-    assert main(["info", path]) == 0
+    assert cli.main(["info", path]) == 0
     assert "user-defined" in capsys.readouterr().out
     for name in ("number", "dal"):
-        assert main(["run", f"{file}:{name}", "--h", "0.1", "--steps", "5"]) == 2
+        assert cli.main(["run", f"{file}:{name}", "--h", "0.1", "--steps", "5"]) == 2
         assert "expected a dalembert.System, or a function" in capsys.readouterr().err
 
 
@@ -388,6 +347,7 @@ def test_the_run_that_is_recommended(tmp_path, capsys):
     assert "--t-end" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_model_of_ones_own_has_studies_and_pages(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text(MODEL)
@@ -422,8 +382,6 @@ def test_a_velocity_that_is_not_in_D_may_be_projected(capsys):
 
 
 def test_a_run_that_fails_says_how_to_go_on(tmp_path, capsys):
-    from dalembert.cli import main
-
     file, path = tmp_path / "own.py", str(tmp_path / "run.dal")
     file.write_text(MODEL.replace("system = make()", """
 def fails(t, q, v):
@@ -435,11 +393,11 @@ system = dal.System(mass=[1, 1, 1], force=fails, q0=[0, 1, 0], v0=[1, 1, 1])
 """))
     out = tmp_path / "part.npz"
     arguments = ["run", f"{file}:system", "--h", "0.1", "--steps", "9", "--journal", path]
-    assert main([*arguments, "--output", str(out)]) == 1
+    assert cli.main([*arguments, "--output", str(out)]) == 1
     text = capsys.readouterr().err
     assert f"dalembert resume {path} {file}:system" in text and "too late" in text
     missing = str(tmp_path / "none" / "run.dal")
-    assert main([*arguments[:-1], missing]) == 1
+    assert cli.main([*arguments[:-1], missing]) == 1
     assert "to resume" not in capsys.readouterr().err
     with np.load(out) as found:
         assert 4 <= len(found["x"]) <= 6
@@ -472,7 +430,5 @@ system = dal.System(mass=[1, 1, 1], force=fails, q0=[0, 1, 0], v0=[1, 1, 1])
     ],
 )
 def test_refused_runs(arguments, text, capsys):
-    from dalembert.cli import main
-
-    assert main(arguments) in (1, 2)
+    assert cli.main(arguments) in (1, 2)
     assert text in capsys.readouterr().err

@@ -1,5 +1,7 @@
 """Compiling and keeping models: the cache, its failures, hostile names, no compiler, C programs."""
 
+import importlib.util
+import inspect
 import multiprocessing
 import os
 import pickle
@@ -14,7 +16,6 @@ import time
 import warnings
 from pathlib import Path
 
-import matplotlib.pyplot as plot
 import numpy as np
 import pytest
 import sympy
@@ -36,15 +37,20 @@ def cache(tmp_path, monkeypatch):
     return place
 
 
+PROGRAMS = {}
+
+
 @pytest.fixture
 def compiled(monkeypatch):
-    """How often the compiler ran."""
+    """The sources that were compiled; the compiler runs once for each of them in all tests."""
     calls = []
     real = compiler.compile_program
 
-    def counting(*arguments):
-        calls.append(arguments)
-        return real(*arguments)
+    def counting(found, source, *more):
+        calls.append(source)
+        if source not in PROGRAMS:
+            PROGRAMS[source] = real(found, source, *more)
+        return PROGRAMS[source]
 
     monkeypatch.setattr(compiler, "compile_program", counting)
     return calls
@@ -65,6 +71,15 @@ def slide(k=1):
 
 def energy(system):
     return system.energy([0.5, 0.2], [1.0, 0.3])
+
+
+def in_a_process(script, first="", **environment):
+    """Run a script that may call `slide`, and what comes before all imports."""
+    imports = f"{first}import sympy\nimport dalembert as dal\n{inspect.getsource(slide)}"
+    return subprocess.run(
+        [sys.executable, "-c", imports + script], capture_output=True, text=True, check=True,
+        env={**os.environ, **environment},
+    )  # fmt: skip
 
 
 EXPECTED = (1 + 0.09) / 2 + 2 * np.cos(0.5)
@@ -273,15 +288,17 @@ def test_where_the_cache_is(monkeypatch, tmp_path):
 
 def test_flags_of_the_user(monkeypatch):
     """They come last, for models with lanes and without, and are part of the key."""
-    monkeypatch.setenv("DALEMBERT_CFLAGS", "-O1 '-DNAME=a b'")
-    code = "from dalembert import compiler as c; print(*c.COMMON[-2:], *c.FLAGS, sep=';')"
-    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    printed = done.stdout.strip().split(";")
-    assert printed[:2] == ["-O1", "-DNAME=a b"]
-    assert printed[2:] == [*compiler.COMMON, *printed[:2], *compiler.FLAGS[len(compiler.COMMON) :]]
+    spec = importlib.util.find_spec("dalembert.compiler")
+    plain, own = (importlib.util.module_from_spec(spec) for _ in range(2))
+    for module, flags in ((plain, ""), (own, "-O1 '-DNAME=a b'")):
+        monkeypatch.setenv("DALEMBERT_CFLAGS", flags)
+        spec.loader.exec_module(module)
+    assert own.COMMON == (*plain.COMMON, "-O1", "-DNAME=a b")
+    assert own.FLAGS == (*own.COMMON, *plain.FLAGS[len(plain.COMMON) :])
+    assert own._generator() != plain._generator()
 
 
-def test_command(cache, capsys):
+def test_command(cache, compiled, capsys):
     slide(), slide(k=2)
     (cache / "left.new").write_text("")
     (cache / "notes.txt").write_text("mine")
@@ -327,26 +344,6 @@ def test_hostile_names(cache, tmp_path):
     assert "__import__" not in re.sub(r'"[^"\n]*"|/\*.*?\*/', "", source)
     (tmp_path / "hostile.c").write_text(source)
     compile_c(tmp_path, "hostile.c", "-c", *WARNINGS)
-
-
-def test_dollars_in_pictures_and_reports(tmp_path):
-    """A name is drawn letter by letter: between dollars it would be a formula that is none."""
-    x, y = dal.coordinates([r"$\foo$", "a$b$"])
-    system = dal.System.from_sympy(
-        (x.d**2 + y.d**2) / 2 - x**2, [y.d - x * x.d], name="$x_$", q0=[1, 0.5], v0=[1, 1]
-    )
-    scheme = dal.Scheme([(0.5, 1.0)], name=r"$\beta_$")
-    run = dal.integrate(system, scheme, h=0.1, steps=5)
-    study = dal.convergence(system, scheme, t_end=1)
-    drawn = [dal.plot.path(run), dal.plot.energy(run), study.plot()]
-    for ax in drawn:
-        ax.figure.savefig(tmp_path / "picture.svg")
-    assert [ax.get_title().startswith(r"\$x_\$: ") for ax in drawn] == [True] * 3
-    assert r"\$\foo\$" in drawn[0].get_xlabel()
-    plot.close("all")
-    dal.report.write([study], tmp_path / "report.html")
-    assert "$x_$" in (tmp_path / "report.html").read_text()
-    assert "$x_$" in dal.pages.page(system)
 
 
 def test_texts_in_c_are_what_they_were(tmp_path):
@@ -424,12 +421,8 @@ def test_no_compiler_on_the_path(cache, monkeypatch, make, tmp_path):
 
 
 WITHOUT = """
-import sys
-for name in ("symengine", "numba", "scipy"):
-    sys.modules[name] = None  # an import of it raises ImportError
-sys.path[:0] = [sys.argv[1]]
-import numpy as np, dalembert as dal, test_compiler
-system = test_compiler.slide()
+import numpy as np
+system = slide()
 run = dal.integrate(system, "leapfrog", [0.5, 0.2], system.project([0.5, 0.2], [1, 0.3]),
                     h=0.01, steps=100)
 print(*map(repr, run.y[:, -1].tolist()))
@@ -444,11 +437,9 @@ except ImportError as error:
 
 def test_without_what_is_optional(cache):
     """Neither SymEngine, numba and SciPy nor a compiler: the same, slower."""
-    here = str(Path(__file__).parent)
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, here], capture_output=True, text=True, check=True,
-        env={**os.environ, "CC": "/nowhere/cc"},
-    )  # fmt: skip
+    # an import of these raises ImportError
+    head = "import sys; sys.modules |= dict.fromkeys(('symengine', 'numba', 'scipy'))\n"
+    done = in_a_process(WITHOUT, head, CC="/nowhere/cc")
     assert done.stderr.count("DalembertWarning: no C compiler was found") == 1
     end, growth, numba = done.stdout.splitlines()
     system = slide()
@@ -534,35 +525,32 @@ def is_running(child):
     return text.rpartition(")")[2].split()[0] != "Z"
 
 
-def test_a_compiler_that_hangs(cache, tmp_path, monkeypatch):
-    """It is killed after a limit, with what it started."""
+@pytest.mark.parametrize("end", ["limit", "Ctrl-C"])
+def test_a_compiler_that_hangs(cache, tmp_path, monkeypatch, end):
+    """It is killed after a limit, or when the user stops it, with the process that it started."""
     wrapper, child = hanging(tmp_path)
     place = tmp_path / "tmp"
     place.mkdir()
     monkeypatch.setattr(compiler.tempfile, "tempdir", str(place))
     monkeypatch.setenv("CC", str(wrapper))
-    monkeypatch.setattr(compiler, "LIMIT", 1.0)
-    with pytest.raises(compiler.CompilerError, match="did not finish in 1 s: .*cc"):
-        slide()
+    if end == "limit":
+        monkeypatch.setattr(compiler, "LIMIT", 1.0)
+        with pytest.raises(compiler.CompilerError, match="did not finish in 1 s: .*cc"):
+            slide()
+    else:
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        press = threading.Thread(
+            target=lambda: (wait_until(child.exists), os.kill(os.getpid(), signal.SIGINT))
+        )
+        press.start()
+        try:
+            with pytest.raises(KeyboardInterrupt):
+                slide()
+        finally:
+            press.join()
+            signal.signal(signal.SIGINT, before)
     wait_until(lambda: not is_running(child))
     assert child.exists() and not list(place.iterdir())
-
-
-def test_interrupting_a_compiler(cache, tmp_path):
-    wrapper, child = hanging(tmp_path)
-    place = tmp_path / "tmp"
-    place.mkdir()
-    code = "import sys; sys.path[:0] = [sys.argv[1]]; import test_compiler; test_compiler.slide()"
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, str(Path(__file__).parent)], stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "CC": str(wrapper), "TMPDIR": str(place)},
-    )  # fmt: skip
-    wait_until(child.exists)
-    process.send_signal(signal.SIGINT)
-    _, printed = process.communicate(timeout=20)
-    assert "KeyboardInterrupt" in printed
-    wait_until(lambda: not is_running(child))
-    assert not list(place.iterdir())
 
 
 # ---- for C programs ------------------------------------------------------------------------------
@@ -698,22 +686,12 @@ def test_names_of_parameters_in_c(tmp_path):
     compile_c(tmp_path, "-D_GNU_SOURCE", "-fsyntax-only", *WARNINGS, "all.c")
 
 
-def test_a_new_process_finds_it(cache):
-    """A second process loads what the first has compiled, and compiles nothing."""
-    code = (
-        "import sys; sys.path[:0] = [sys.argv[1]]\n"
-        "import test_compiler as t; from dalembert import compiler\n"
+def test_a_new_process_finds_it(cache, compiled):
+    """It loads the library that this one has compiled, and compiles nothing."""
+    expected = energy(slide())
+    script = (
         "def never(*a): raise AssertionError('compiled again')\n"
-        "if len(sys.argv) > 2: compiler.compile_program = never\n"
-        "print(repr(float(t.energy(t.slide(k=7)))))"
+        "dal.compiler.compile_program = never\n"
+        "print(repr(float(slide().energy([0.5, 0.2], [1.0, 0.3]))))"
     )
-    here = str(Path(__file__).parent)
-    first, second = (
-        subprocess.run(
-            [sys.executable, "-c", code, here, *more], capture_output=True, text=True, check=True
-        ).stdout
-        for more in ([], ["again"])
-    )
-    assert first == second and float(first) == pytest.approx(
-        (1 + 0.09) / 2 + 14 * np.cos(0.5), rel=1e-15
-    )
+    assert float(in_a_process(script).stdout) == expected == pytest.approx(EXPECTED, rel=1e-15)
