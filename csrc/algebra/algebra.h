@@ -45,6 +45,8 @@ static inline void dal__forget(size_t count, double *x)
     for (; x && i < count; i++) x[i] = (double)NAN;
 }
 
+/* A[n*n] <- (A + A^T)/2. */
+void dal__symmetrise(size_t n, double *A);
 /* y[rows] = A[rows*columns] x[columns]; y may not overlap. */
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y);
 

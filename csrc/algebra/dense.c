@@ -35,6 +35,15 @@ double dal__sum_of_sizes(size_t n, const double *x)
     return sum;
 }
 
+void dal__symmetrise(size_t n, double *A)
+{
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < i; j++) {
+            const double mean = 0.5 * (A[i * n + j] + A[j * n + i]);
+            A[i * n + j] = A[j * n + i] = mean;
+        }
+}
+
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y)
 {
     for (size_t i = 0; i < rows; i++) {

@@ -126,13 +126,20 @@ static inline double dal__mass_at(const dal_mechanics *mech, size_t i)
 /* y[n] <- M x, M that of the last dal__form_metric. */
 void dal__weigh(const dal_mechanics *mech, const double *x, double *y);
 
-/* The helpers of mechanics.c leave the text of their failure in mech->error. */
+/* These functions leave the text of their failure in mech->error. */
+
+/* DAL_EINVAL unless there is somewhere for the output of this name to go, and shift, t and x[2n] are
+ * finite: public functions ask for this first. */
+int dal__require_state(dal_mechanics *mech, const char *name, const double *output, double shift,
+                       double t, const double *x);
 
 /* DAL_EINVAL unless the argument of this name is there and finite. */
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
 /* M at (t, q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
 int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v);
-/* The same, if it is not the last that was formed; the statistics do not count it. */
+/* The same of metric.M, which is that at (t, q, v) already. */
+int dal__factor_metric(dal_mechanics *mech, double t, const double *q, const double *v);
+/* dal__form_metric, if it is not the last that was formed; the statistics do not count it. */
 int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v);
 /* y[n] <- M^-1 f[n], M that of the last dal__form_metric; y and f may not overlap. */
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
@@ -159,6 +166,9 @@ bool dal__name_rank_lost(dal_mechanics *mech, const double *mu);
 void dal__name_turned(dal_mechanics *mech);
 /* The gram of the forms and the metric.  DAL_ESINGULAR. */
 int dal__factor_gram(dal_mechanics *mech);
+/* The LU factors of mu Z^T, where Z need not be that of mu, and may leave coordinates out.
+ * DAL_ESINGULAR. */
+int dal__factor_product(dal_mechanics *mech);
 /* y[m] <- C^-1 y, of the last dal__factor_gram. */
 void dal__solve_gram(const dal_mechanics *mech, double *y);
 /* forms.moves <- those of residual.h at the node forms.q = q - shift v and the time t, whose parts
@@ -175,21 +185,12 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
  * n u s^a, with phi and a^a where residual.h has them. */
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
                         const double *v, const double *moves);
-/* dal_field, of a finite state, where nothing compiled for the system gave it. */
-int dal__field_in_full(dal_mechanics *mech, double t, const double *x, double *xdot);
 /* dal_field, of a finite state; what it leaves in force, lambda and gram is of no use. */
-static inline int dal__field(dal_mechanics *mech, double t, const double *x, double *xdot)
-{
-    evaluator *const e = &mech->eval;
-    const dal_system_def *const def = &e->system->def;
-    if (!e->field) return dal__field_in_full(mech, t, x, xdot);
-    e->constraint_calls += mech->m > 0;
-    e->potential_calls += def->potential != NULL;
-    e->lagrangian_calls += def->lagrangian != NULL;
-    e->force_calls += def->force != NULL;
-    return e->field(t, x, e->input, e->system->mass_inverse, xdot, def->ctx)
-        ? DAL_SUCCESS : dal__field_in_full(mech, t, x, xdot);
-}
+int dal__field(dal_mechanics *mech, double t, const double *x, double *xdot);
+/* force and lambda at x[2n], with the metric, the forms but for phi, and the gram.  The arguments
+ * are checked as dal__require_state does. */
+int dal__solve_multipliers(dal_mechanics *mech, const char *name, const double *output, double t,
+                           const double *x);
 /* *E <- the energy at x[2n], which may overflow. */
 int dal__energy(dal_mechanics *mech, double t, const double *x, double *E);
 /* How far velocities move, to first order, when the point q and, unless slope_t is NULL, the time t
@@ -200,6 +201,9 @@ double dal__forms_move(const dal_mechanics *mech, const double *mu, const double
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x, double *relative,
                    bool *consistent);
+/* forms.q <- q - shift v of x[2n]; phi and mu of the forms at forms.q and v, and phi_q if slopes. */
+void dal__move_node(dal_mechanics *mech, double shift, const double *x);
+int dal__evaluate_forms(dal_mechanics *mech, double t, const double *v, bool slopes);
 /* The forms at q - shift v of x[2n], with phi_q if slopes, but without phi_t; and the metric. */
 int dal__forms_at(dal_mechanics *mech, double t, double shift, const double *x, bool slopes);
 /* v of x[2n] moves into the D or D_eps of shift, along Z as it is or that of mu, and q with it so
@@ -253,7 +257,7 @@ struct dal__guards {
 };
 /* Copy the least pivot and the shortest step into the statistics. */
 void dal__guards_tell(const struct dal__guards *guards, dal_stats *stats);
-/* A chart of D, connection.c.  It may be part of another object, as a dal_mechanics may. */
+/* A chart of D, chart.c.  It may be part of another object, as a dal_mechanics may. */
 struct dal_chart {
     dal_mechanics mech;
     size_t n, m, width;      /* width = 2n - m, that of xi */

@@ -188,15 +188,6 @@ static int hessian_of_V(difference *d, double *V_qq)
     return 0;
 }
 
-void dal__symmetrise(size_t n, double *A)
-{
-    for (size_t i = 0; i < n; i++)
-        for (size_t j = 0; j < i; j++) {
-            const double mean = 0.5 * (A[i * n + j] + A[j * n + i]);
-            A[i * n + j] = A[j * n + i] = mean;
-        }
-}
-
 /* slopes <- phi_q by rows, of linear constraints.  Columns of a colour have no row in common, and
  * are differenced at once. */
 static int differentiate_rows(difference *d, const dal_rows *rows, double *slopes)

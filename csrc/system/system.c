@@ -5,35 +5,6 @@
 #include <stdio.h>
 #include <string.h>
 
-/* Shape, finiteness, symmetry and positive definiteness are separate questions with separate
- * answers, because each is a different mistake. */
-static int check_mass(const dal_system_def *def, dal_error *error)
-{
-    const size_t n = def->n;
-    const double *M = def->mass;
-    for (size_t i = 0; !M && i < n; i++)
-        if (!isfinite(def->masses[i]))
-            return dal__fail(error, DAL_EINVAL, "masses[%zu] = %g is not finite", i,
-                             def->masses[i]);
-    if (!M) return DAL_SUCCESS;
-    for (size_t i = 0; i < n; i++)
-        for (size_t j = 0; j < n; j++)
-            if (!isfinite(M[i * n + j]))
-                return dal__fail(error, DAL_EINVAL, "mass[%zu,%zu] = %g is not finite", i, j,
-                                 M[i * n + j]);
-    for (size_t i = 0; i < n; i++)
-        for (size_t j = 0; j < i; j++) {
-            const double a = M[i * n + j], b = M[j * n + i];
-            if (fabs(a - b) > 16.0 * DAL_ROUNDOFF * (fabs(a) + fabs(b)))
-                return dal__fail(error, DAL_EINVAL,
-                                 "mass is not symmetric: mass[%zu,%zu] = %.17g, mass[%zu,%zu] = "
-                                 "%.17g", i, j, a, j, i, b);
-        }
-    return DAL_SUCCESS;
-}
-
-static bool has_mass(const dal_system_def *def) { return def->mass || def->masses; }
-
 /* Either mass and potential, or a Lagrangian; and nothing is called missing that is not there. */
 static int check_lagrangian(const dal_system_def *def, dal_error *error)
 {
@@ -50,11 +21,11 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
     if (def->mass && def->masses)
         return dal__fail(error, DAL_EINVAL, "mass and masses are both given: expected one of the "
                          "two");
-    if (def->lagrangian && (has_mass(def) || def->potential))
+    if (def->lagrangian && (dal__has_mass(def) || def->potential))
         return dal__fail(error, DAL_EINVAL, "lagrangian and %s are both given: expected either a "
                          "Lagrangian, or a mass and optionally a potential",
                          def->mass ? "mass" : def->masses ? "masses" : "potential");
-    if (!def->lagrangian && !has_mass(def))
+    if (!def->lagrangian && !dal__has_mass(def))
         return dal__fail(error, DAL_EINVAL, "mass, masses and lagrangian are all NULL: expected "
                          "one of them");
     if (def->lagrangian && (def->missing & of_potential))
@@ -83,7 +54,7 @@ static int check_steady(const dal_system_def *def, dal_error *error)
     const char *const why = !def->steady ? NULL
                             : def->steady < DAL_STEADY_DECLARED || def->steady > DAL_STEADY_EVEN
                                 ? "expected a dal_steady"
-                            : !has_mass(def) ? "expected 0, because mass is NULL"
+                            : !dal__has_mass(def) ? "expected 0, because mass is NULL"
                             : def->kind != DAL_LINEAR ? "expected 0, because the constraints are "
                                                         "not linear"
                             : def->time_dependent ? "expected 0, because the system depends on time"
@@ -156,7 +127,7 @@ static int check_def(const dal_system_def *def, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "time_dependent = %d: expected 0 or 1",
                          def->time_dependent);
     if (!status) status = check_steady(def, error);
-    if (!status && has_mass(def)) status = check_mass(def, error);
+    if (!status && dal__has_mass(def)) status = dal__check_mass(def, error);
     return status ? status : check_sparsity(def, error);
 }
 
@@ -233,7 +204,7 @@ static void plan(arena *a, possessions *own, dal_system *shape, const dal_system
     dal__reserve(a, &own->self, 1, sizeof *own->self);
     DAL__RESERVE(a, square, &shape->mass, &shape->mass_inverse);
     if (def->mass && def->parameters) DAL__RESERVE(a, square, &shape->factor);
-    DAL__RESERVE(a, has_mass(def) ? n : 0, &shape->unit, &shape->per_unit);
+    DAL__RESERVE(a, dal__has_mass(def) ? n : 0, &shape->unit, &shape->per_unit);
     if (def->sparsity) plan_sparsity(a, own, shape, def);
     dal__reserve(a, &own->ctx, def->ctx_size, 1);
     DAL__RESERVE(a, dal__times(2, n), &own->state);
@@ -242,54 +213,6 @@ static void plan(arena *a, possessions *own, dal_system *shape, const dal_system
     dal__reserve(a, &own->invariant_names, def->invariants, sizeof *own->invariant_names);
     dal__reserve(a, &own->text, own->used, 1);
     own->used = 0;
-}
-
-static int not_definite(size_t row, double pivot, double entry, dal_error *error)
-{
-    return dal__fail(error, DAL_EINVAL, "mass is not positive definite to working precision: pivot "
-                     "%zu of its Cholesky factor is %g where mass[%zu,%zu] = %g", row, pivot, row,
-                     row, entry);
-}
-
-/* From an entry of its diagonal to the next. */
-static size_t next_mass(const dal_system *system)
-{
-    return system->masses ? 1 : system->def.n + 1;
-}
-
-static int invert_diagonal_mass(dal_system *system, dal_error *error)
-{
-    const size_t next = next_mass(system);
-    for (size_t i = 0; i < system->def.n; i++) {
-        const double entry = system->mass[i * next];
-        if (!(entry > 0.0 && isfinite(1.0 / entry))) return not_definite(i, entry, entry, error);
-        system->mass_inverse[i * next] = 1.0 / entry;
-    }
-    return DAL_SUCCESS;
-}
-
-/* M^-1 by columns, which are its rows but for roundoff. */
-static int invert_mass(dal_system *system, dal_error *error)
-{
-    const size_t n = system->def.n;
-    double *const inverse = system->mass_inverse, *factor;
-    arena scratch = {0};
-    DAL__RESERVE(&scratch, system->factor ? 0 : n * n, &factor);
-    int status = dal__allocate(&scratch, error);
-    if (status) return status;
-    if (system->factor) factor = system->factor;
-    size_t row = 0;
-    double pivot = 0.0;
-    memcpy(factor, system->mass, n * n * sizeof *factor);
-    if (!dal__cholesky(n, factor, system->unit, &row, &pivot))
-        status = not_definite(row, pivot, system->mass[row * n + row], error);
-    for (size_t j = 0; !status && j < n; j++) {
-        inverse[j * n + j] = 1.0;
-        dal__cholesky_solve(n, factor, inverse + j * n);
-    }
-    dal__symmetrise(n, inverse);
-    dal__release(&scratch);
-    return status;
 }
 
 /* Whether V_qq, f_q and f_v are given, as far as there is something to differentiate, and matrices
@@ -301,30 +224,6 @@ static bool is_curved(const dal_system_def *def)
     const unsigned of_potential = DAL_MISSING_V_Q | DAL_MISSING_V_QQ;
     const unsigned wanted = (def->potential ? of_potential : 0) | (def->force ? of_force : 0);
     return wanted && !(def->missing & wanted) && def->n <= MOST;
-}
-
-static bool is_diagonal(const dal_system_def *def)
-{
-    const size_t n = def->n;
-    for (size_t i = 0; def->mass && i < n; i++)
-        for (size_t j = 0; j < n; j++)
-            if (i != j && def->mass[i * n + j] != 0.0) return false;
-    return has_mass(def);
-}
-
-/* What follows from M: the text of a failure names where it is not positive definite. */
-static int bind_mass(dal_system *system, dal_error *error)
-{
-    const size_t n = system->def.n;
-    dal__clear(system->masses ? n : n * n, system->mass_inverse);
-    system->diagonal = is_diagonal(&system->def);
-    const int status =
-        system->diagonal ? invert_diagonal_mass(system, error) : invert_mass(system, error);
-    for (size_t i = 0; !status && i < n; i++) {
-        system->unit[i] = sqrt(system->mass_inverse[i * next_mass(system)]);
-        system->per_unit[i] = 1.0 / system->unit[i];
-    }
-    return status;
 }
 
 /* Each column in turn gets the first colour that no column has which it meets in a row. */
@@ -401,7 +300,7 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     dal_system *const self = own.self;
     *self = shape;
     self->arena = memory;
-    if (!has_mass(def)) self->mass = self->mass_inverse = NULL;
+    if (!dal__has_mass(def)) self->mass = self->mass_inverse = NULL;
     self->def.mass = self->masses ? NULL : self->mass;
     self->def.masses = self->masses ? self->mass : NULL;
     if (def->state) self->def.state = memcpy(own.state, def->state, 2 * def->n * sizeof(double));
@@ -411,7 +310,7 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     take_texts(self, &own, def);
     if (def->mass) dal__copy(def->n * def->n, def->mass, self->mass);
     if (def->masses) dal__copy(def->n, def->masses, self->mass);
-    if (has_mass(def)) status = bind_mass(self, error);
+    if (dal__has_mass(def)) status = dal__bind_mass(self, error);
     if (def->sparsity) bind_sparsity(self, &own, def->sparsity);
     if (!status && self->colour) status = colour_columns(self, error);
     if (!status && self->lean && self->rows)
@@ -432,6 +331,7 @@ int dal__system_copy(dal_system **copy, const dal_system *system, dal_error *err
     const int status = dal_system_new(copy, &def, error);
     if (status) return status;
     (*copy)->record = system->record;
+    (*copy)->check = system->check;
     (*copy)->parameters = system->parameters;
     (*copy)->like = system;
     return DAL_SUCCESS;
@@ -441,7 +341,7 @@ int dal__system_change(dal_system *system, const void *parameters, dal_error *er
 {
     dal_system_def *const def = &system->def;
     double *const state = (double *)def->state; /* which lies in the arena */
-    int status = system->record ? dal__builtin_check(system, parameters, error) : DAL_SUCCESS;
+    int status = system->check ? system->check(system, parameters, error) : DAL_SUCCESS;
     if (status) return status;
     memcpy(def->ctx, parameters, dal_system_parameter_size(system));
     system->age++;
@@ -456,8 +356,8 @@ int dal__system_change(dal_system *system, const void *parameters, dal_error *er
     if (state && !dal__all_finite(2 * def->n, state))
         return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
     if (!system->mass) return DAL_SUCCESS;
-    status = check_mass(def, error);
-    return status ? status : bind_mass(system, error);
+    status = dal__check_mass(def, error);
+    return status ? status : dal__bind_mass(system, error);
 }
 
 size_t dal_system_parameter_size(const dal_system *system)
@@ -503,25 +403,6 @@ const char *dal_system_input_name(const dal_system *system, size_t i)
 const char *dal_system_invariant_name(const dal_system *system, size_t i)
 {
     return i < system->def.invariants ? system->def.invariant_names[i] : NULL;
-}
-
-void dal__apply_mass(const dal_system *system, const double *x, double *y)
-{
-    const size_t n = system->def.n;
-    if (!system->masses) dal__apply(n, n, system->mass, x, y);
-    for (size_t i = 0; system->masses && i < n; i++) y[i] = system->mass[i] * x[i];
-}
-
-int dal_system_mass(const dal_system *system, double *M)
-{
-    if (!system) return DAL_EINVAL;
-    if (!system->mass) return DAL_EUNSUPPORTED;
-    if (!M) return DAL_SUCCESS;
-    const size_t n = system->def.n;
-    if (!system->masses) dal__copy(n * n, system->mass, M);
-    else dal__clear(n * n, M);
-    for (size_t i = 0; system->masses && i < n; i++) M[i * n + i] = system->mass[i];
-    return DAL_SUCCESS;
 }
 
 int dal_system_state(const dal_system *system, double *x)

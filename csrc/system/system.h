@@ -32,7 +32,9 @@ struct dal_system {
     size_t *colour, colours; /* [n] and how many, if phi_q is missing too: see evaluator.c */
     dal__pattern *pattern;   /* of mu M^-1 mu^T for these rows, if lean */
     const struct builtin *record; /* of a built-in system, or NULL */
-    size_t parameters;       /* of it: so many doubles at the beginning of ctx */
+    size_t parameters;       /* of it: so many doubles at the beginning of ctx, and what is wrong
+                                with others (DAL_EINVAL) */
+    int (*check)(const dal_system *system, const double *values, dal_error *error);
     size_t ctx_size;         /* of the copy, and */
     const dal_system *like;  /* what a copy was made from, which has to stay */
     dal_parameters_fn refill; /* what else depends on it; NULL: it does not change */
@@ -81,9 +83,12 @@ int dal__system_copy(dal_system **copy, const dal_system *system, dal_error *err
  * it know it from their next start.  On failure it is of no use until the next success.
  * DAL_EINVAL, DAL_EDOMAIN, DAL_EUSER. */
 int dal__system_change(dal_system *system, const void *parameters, dal_error *error);
-/* DAL_EINVAL if values[parameters] are out of their ranges, or change n or m of the system. */
-int dal__builtin_check(const dal_system *system, const double *values, dal_error *error);
 
+/* M as mass or masses; whether what is given is finite and symmetric; what follows from M, with a text
+ * that says where it is not positive definite.  DAL_EINVAL. */
+static inline bool dal__has_mass(const dal_system_def *def) { return def->mass || def->masses; }
+int dal__check_mass(const dal_system_def *def, dal_error *error);
+int dal__bind_mass(dal_system *system, dal_error *error);
 /* y[n] <- M x, for constant mass. */
 void dal__apply_mass(const dal_system *system, const double *x, double *y);
 /* A[m*n] <- itself, of which the entries of the sparsity stand at the beginning. */
@@ -142,8 +147,6 @@ int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t 
 /* slopes[count*n] <- df/dq at point[n], the same. */
 int dal__jacobian(dal__function f, void *ctx, size_t n, double *point, size_t count, double *value,
                   double *slopes);
-/* A[n*n] <- (A + A^T)/2. */
-void dal__symmetrise(size_t n, double *A);
 /* The distance of these points at a coordinate q. */
 double dal__spacing(double q);
 

@@ -130,6 +130,23 @@ static int fill(double *mass, double *state, const void *ctx)
     return 0;
 }
 
+/* DAL_EINVAL if values[parameters] are out of their ranges, or change n or m of the system. */
+static int check(const dal_system *system, const double *values, dal_error *error)
+{
+    const builtin *const record = system->record;
+    int status = DAL_SUCCESS;
+    for (size_t i = 0; !status && i < system->parameters; i++)
+        status = require_in_range(record, &record->parameters[i], values[i], error);
+    if (!status && record->check) status = record->check(values, error);
+    if (status) return status;
+    size_t n, m;
+    find_sizes(record, values, &n, &m);
+    if (n == system->def.n && m == system->def.m) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "the new parameters of %s give n = %zu coordinates and m = "
+                     "%zu constraints; expected n = %zu and m = %zu, as before", record->name, n, m,
+                     system->def.n, system->def.m);
+}
+
 /* A system from its record and its parameters; dal_system_new copies what depends on them. */
 static int make(dal_system **system, context *of, dal_error *error)
 {
@@ -167,24 +184,9 @@ static int make(dal_system **system, context *of, dal_error *error)
     dal__release(&a);
     if (status) return status;
     (*system)->record = record;
+    (*system)->check = check;
     (*system)->parameters = count_parameters(record);
     return DAL_SUCCESS;
-}
-
-int dal__builtin_check(const dal_system *system, const double *values, dal_error *error)
-{
-    const builtin *const record = system->record;
-    int status = DAL_SUCCESS;
-    for (size_t i = 0; !status && i < system->parameters; i++)
-        status = require_in_range(record, &record->parameters[i], values[i], error);
-    if (!status && record->check) status = record->check(values, error);
-    if (status) return status;
-    size_t n, m;
-    find_sizes(record, values, &n, &m);
-    if (n == system->def.n && m == system->def.m) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "the new parameters of %s give n = %zu coordinates and m = "
-                     "%zu constraints; expected n = %zu and m = %zu, as before", record->name, n, m,
-                     system->def.n, system->def.m);
 }
 
 size_t dal_system_parameters(const dal_system *system) { return system->parameters; }
