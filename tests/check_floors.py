@@ -1,8 +1,8 @@
-"""A source of the core calls and includes its own floor or lower ones.
+"""A source of the core calls sources before it, and includes headers of its own floor or lower.
 
 Usage: ``python check_floors.py CSRC libdalembert.a HEADER... FLOOR...`` where a FLOOR is the names
-of its sources, relative to the folder CSRC, with commas between them, the ground first.  What is
-called is read from the object files.
+of its sources, relative to the folder CSRC, with commas between them, the ground first, and in each
+the callers behind.  So no calls go in a circle.  What is called is read from the object files.
 
 Also: what is not static is public or called ``dal__name``, and every source is on a floor.
 """
@@ -56,15 +56,14 @@ def symbols(archive: str) -> tuple[dict[str, str], dict[str, set[str]]]:
 
 def check_calls(archive: str, headers: list[str], floors: list[list[str]]) -> list[str]:
     """What is wrong with who calls whom, one line each."""
-    floor_of = {
-        source.replace("/", "_"): number
-        for number, floor in enumerate(floors)
-        for source in floor
+    place_of = {
+        source.replace("/", "_"): place
+        for place, source in enumerate(source for floor in floors for source in floor)
     }
     definitions, uses = symbols(archive)
     public = declared(read(headers))
-    found = [f"{source} is on no floor" for source in sorted(uses.keys() - floor_of.keys())]
-    found += [f"{source} is not in {archive}" for source in sorted(floor_of.keys() - uses.keys())]
+    found = [f"{source} is on no floor" for source in sorted(uses.keys() - place_of.keys())]
+    found += [f"{source} is not in {archive}" for source in sorted(place_of.keys() - uses.keys())]
     if found:
         return found
     for name, source in sorted(definitions.items()):
@@ -73,11 +72,8 @@ def check_calls(archive: str, headers: list[str], floors: list[list[str]]) -> li
     for source, names in sorted(uses.items()):
         for name in sorted(names & definitions.keys()):
             other = definitions[name]
-            if floor_of[other] > floor_of[source]:
-                found.append(
-                    f"{source} (floor {floor_of[source]}) uses {name} "
-                    f"of {other} (floor {floor_of[other]})"
-                )
+            if place_of[other] > place_of[source]:
+                found.append(f"{source} uses {name} of {other}, which stands behind it")
     return found
 
 

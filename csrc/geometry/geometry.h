@@ -128,8 +128,8 @@ void dal__weigh(const dal_mechanics *mech, const double *x, double *y);
 
 /* These functions leave the text of their failure in mech->error. */
 
-/* DAL_EINVAL unless there is somewhere for the output of this name to go, and shift, t and x[2n] are
- * finite: public functions ask for this first. */
+/* DAL_EINVAL unless the output of this name is not NULL, and shift, t and x[2n] are finite: the
+ * first line of public functions. */
 int dal__require_state(dal_mechanics *mech, const char *name, const double *output, double shift,
                        double t, const double *x);
 
@@ -201,7 +201,7 @@ double dal__forms_move(const dal_mechanics *mech, const double *mu, const double
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x, double *relative,
                    bool *consistent);
-/* forms.q <- q - shift v of x[2n]; phi and mu of the forms at forms.q and v, and phi_q if slopes. */
+/* forms.q <- q - shift v of x[2n]; phi and mu of the forms at (forms.q, v), and phi_q if slopes. */
 void dal__move_node(dal_mechanics *mech, double shift, const double *x);
 int dal__evaluate_forms(dal_mechanics *mech, double t, const double *v, bool slopes);
 /* The forms at q - shift v of x[2n], with phi_q if slopes, but without phi_t; and the metric. */

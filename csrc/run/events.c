@@ -473,26 +473,6 @@ static void end_run(const dal_events *e, const dal_run *run, double *end, double
                           ? (double)NAN : (e->impulse[a] + e->parts[a]) / elapsed;
 }
 
-/* What happened in the step: to the journal, and to whoever wants to know. */
-static int report(const dal_events *e, const dal_run *run, size_t timed)
-{
-    const size_t step = e->step + (size_t)run->ended;
-    int status = dal__journal_times(run, timed);
-    for (size_t k = 0; k < e->happenings; k++) {
-        const happening *const one = &e->happened[k];
-        const double *const after = one->reset ? one->after : NULL;
-        if (!status) status = dal__journal_event(run, one->event, step, one->t, one->x, after);
-    }
-    for (size_t k = 0; run->happened && k < e->happenings; k++) {
-        const happening *const one = &e->happened[k];
-        const int returned = run->happened(one->event, step, one->t, one->x,
-                                           one->reset ? one->after : NULL, run->happened_ctx);
-        const int heeded = dal__heed(run, "happened", returned);
-        if (!status) status = heeded;
-    }
-    return status;
-}
-
 /* The rest of a step that went well: what it leaves to the run and to the next one. */
 static void conclude(dal_events *e, dal_run *run, double *end, double *reaction)
 {
@@ -532,11 +512,10 @@ int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made)
         if (status) error = stepper->error;
     }
     if (!status) {
-        const size_t timed = run->timed;
         conclude(e, run, end, reaction);
         stepper->motion.stats->unscaled += e->unscaled;
         *made = !run->ended;
-        return report(e, run, timed);
+        return DAL_SUCCESS;
     }
     if (*made > 0) take_back(e, run);
     *made = 0;

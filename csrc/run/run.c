@@ -1,16 +1,11 @@
 /* A run: what comes in, what is stored, and who watches. */
+#include "run/events.h"
 #include "run/run.h"
 
 #include <math.h>
 #include <string.h>
 
 enum { MOST_AT_ONCE = 4096 }; /* steps, after which a journal looks at the time */
-
-bool dal__run_is_over(const dal_run *run)
-{
-    return run->done == run->steps
-        || (dal__run_varies(run) && dal_stepper_time(run->stepper) == run->until);
-}
 
 /* Whether the state now is to be stored, and is not yet. */
 static bool is_due(const dal_run *run)
@@ -26,14 +21,6 @@ static double *reaction_of_row(const dal_run *run)
     if (run->stored == 0) return NULL;
     return run->reactions ? run->reactions + (run->stored - 1) * run->stepper->mech.m
                           : dal__journal_reaction(run);
-}
-
-int dal__heed(const dal_run *run, const char *name, int returned)
-{
-    if (returned > 0) return DAL_STOPPED;
-    if (returned == 0) return DAL_SUCCESS;
-    return dal__fail(&run->stepper->error, DAL_EUSER, "%s returned %d at step %zu", name, returned,
-                     run->stepper->motion.steps);
 }
 
 /* Stores the state now and tells the observer of it; DAL_STOPPED or DAL_EUSER if it wants no
@@ -61,13 +48,6 @@ static int store(dal_run *run)
     if (!run->observer) return DAL_SUCCESS;
     return dal__heed(run, "observer", run->observer(motion->steps, t, motion->x,
                                                     run->observer_ctx));
-}
-
-/* A row of roundoff at the end of the run is none. */
-double dal__run_begin_of_inputs(const dal_run *run, size_t k)
-{
-    const double t = run->t_begin + (double)k * run->held;
-    return fabs(t - run->until) <= 8.0 * DAL_ROUNDOFF * fabs(run->until) ? run->until : t;
 }
 
 /* Whether the inputs change here; *row <- to which. */
@@ -128,36 +108,25 @@ static size_t steps_of_inputs(const dal_run *run, size_t most)
     return steps < most ? steps : most;
 }
 
-/* What is wrong with a run of steps whose size varies. */
-static int check_varied(const dal_run *run)
+/* What happened in the step, with the times from `timed` on: to the journal and the callback. */
+static int report(const dal_run *run, size_t timed)
 {
-    dal_error *const error = &run->stepper->error;
-    const double ahead = dal__stepper_ahead(run->stepper);
-    const double t = dal_stepper_time(run->stepper);
-    if (!isfinite(run->until) || ahead * (run->until - t) < 0.0)
-        return dal__fail(error, DAL_EINVAL, "until = %g: expected a time from t = %g on, in the "
-                         "direction of the steps", run->until, t);
-    if (run->inputs && !(ahead * run->held > 0.0 && isfinite(run->held)))
-        return dal__fail(error, DAL_EINVAL, "held = %g: expected the time for which a row of "
-                         "inputs applies, with the sign of the steps", run->held);
-    return DAL_SUCCESS;
-}
-
-int dal__run_check(const dal_run *run)
-{
-    dal_error *const error = &run->stepper->error;
-    if (run->stride == 0 || (run->steps % run->stride > 0 && !dal__run_varies(run)))
-        return dal__fail(error, DAL_EINVAL, "steps = %zu: expected a multiple of stride = %zu",
-                         run->steps, run->stride);
-    if (run->control && !run->inputs)
-        return dal__fail(error, DAL_EINVAL, "control is not NULL, but inputs is NULL: expected an "
-                         "array for the values of control");
-    if (run->inputs && run->stepper->motion.system->def.inputs == 0)
-        return dal__fail(error, DAL_EINVAL, "inputs is not NULL, but the system has no inputs; "
-                         "pass NULL");
-    int status = dal__stepper_started(run->stepper);
-    if (!status && dal__run_varies(run)) status = check_varied(run);
-    return status ? status : dal__events_check(run);
+    const dal_events *const e = run->events;
+    const size_t step = e->step + (size_t)run->ended;
+    int status = dal__journal_times(run, timed);
+    for (size_t k = 0; k < e->happenings; k++) {
+        const happening *const one = &e->happened[k];
+        const double *const after = one->reset ? one->after : NULL;
+        if (!status) status = dal__journal_event(run, one->event, step, one->t, one->x, after);
+    }
+    for (size_t k = 0; run->happened && k < e->happenings; k++) {
+        const happening *const one = &e->happened[k];
+        const int returned = run->happened(one->event, step, one->t, one->x,
+                                           one->reset ? one->after : NULL, run->happened_ctx);
+        const int heeded = dal__heed(run, "happened", returned);
+        if (!status) status = heeded;
+    }
+    return status;
 }
 
 /* A step with what happens in it; where the run ends in it the state there is one more row. */
@@ -166,7 +135,9 @@ static int look_and_step(dal_run *run, size_t *made)
     const size_t N = 2 * run->stepper->mech.n;
     double *const row = run->x ? run->x + run->stored * N : run->stepper->fresh;
     double *const reaction = reaction_of_row(run);
+    const size_t timed = run->timed;
     int status = dal__events_step(run, row, reaction, made);
+    if (!status) status = report(run, timed);
     if (!run->ended) return status;
     if (run->row_times) run->row_times[run->stored] = run->t_end;
     if (!status) status = dal__journal_row(run, row, reaction);

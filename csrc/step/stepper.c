@@ -93,88 +93,7 @@ void dal_stepper_free(dal_stepper *stepper)
     dal__release(&memory);
 }
 
-const dal_error *dal_stepper_error(const dal_stepper *stepper) { return &stepper->error; }
-const double *dal_stepper_state(const dal_stepper *stepper) { return stepper->motion.x; }
-const double *dal_stepper_inputs(const dal_stepper *stepper) { return stepper->motion.input; }
-
-double dal_stepper_h(const dal_stepper *stepper) { return stepper->motion.h; }
-
-double dal_stepper_time(const dal_stepper *stepper)
-{
-    const dal_motion *const motion = &stepper->motion;
-    return motion->t0 + (double)(motion->steps - motion->first) * motion->h;
-}
-
-void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
-{
-    const evaluator *const e = &stepper->mech.eval;
-    const dal_kernel *const kernel = dal__beta_kernel(stepper);
-    const size_t stages = kernel ? kernel->stages : dal__scheme_count(&stepper->scheme);
-    *stats = *stepper->motion.stats;
-    stats->steps = stepper->motion.steps;
-    stats->substeps = stats->steps * stages;
-    stats->worst_residual *= 1.0 + 2.0 * DBL_EPSILON; /* the step compares without dividing */
-    /* the evaluator counts what goes through it; the step routine's calls do if it differences */
-    if (e->constraint_ctx == e) stats->constraint_calls = 0;
-    if (e->pull_ctx == e && !(stepper->motion.system->def.compiled
-                              && stepper->scheme.nodes == DAL_MOVED_NODES))
-        stats->potential_calls = 0;
-    stats->constraint_calls += e->constraint_calls;
-    stats->potential_calls += e->potential_calls;
-    stats->lagrangian_calls += e->lagrangian_calls;
-    stats->force_calls += e->force_calls;
-    stats->differenced = stepper->motion.system->def.missing;
-    stats->jump_step = stepper->jump.step;
-    stats->jump = stepper->jump.change;
-    stats->largest_kinetic = stepper->jump.kinetic;
-    dal__guards_tell(&stepper->guards, stats);
-    stats->remade = stepper->guard.remade;
-    stats->whole = !stepper->guard.whole ? 0 : stepper->guard.piece == 0 ? 1 : 2;
-    stats->error = stepper->guard.error;
-}
-
-int dal_stepper_input(dal_stepper *stepper, const double *u)
-{
-    return stepper ? dal__evaluator_input(&stepper->mech.eval, u, &stepper->error) : DAL_EINVAL;
-}
-
-int dal__stepper_turn(dal_stepper *stepper)
-{
-    dal_motion *const motion = &stepper->motion;
-    dal_mechanics *const mech = &stepper->mech;
-    const dal_family *const family = stepper->family;
-    const size_t n = mech->n, size = motion->system->def.inputs * sizeof(double);
-    double *const x = stepper->fresh, *const change = mech->w;
-    if (!stepper->applied || memcmp(stepper->applied, motion->input, size) == 0)
-        return DAL_SUCCESS;
-    memcpy(x, motion->x, 2 * n * sizeof *x);
-    const int status = dal_project(mech, dal_stepper_time(stepper), 0.0, x, NULL);
-    if (status)
-        return dal__fail_because(&stepper->error, status, &mech->error,
-                                 "the inputs of step %zu (t = %g): ", motion->steps + 1,
-                                 dal_stepper_time(stepper));
-    dal__move(n, x + n, -1.0, motion->x + n, change);
-    dal__add_impulse_of(mech, change, motion->impulse);
-    memcpy(motion->x + n, x + n, n * sizeof *x);
-    memcpy(stepper->applied, motion->input, size);
-    if (family->forget_velocity) family->forget_velocity(stepper->method);
-    else if (family->start) family->start(stepper->method, motion);
-    return DAL_SUCCESS;
-}
-
 /* ---- start ------------------------------------------------------------------------------ */
-
-int dal__stepper_check_times(dal_stepper *stepper, double t0, double h)
-{
-    dal_error *const error = &stepper->error;
-    if (!isfinite(t0)) return dal__fail(error, DAL_EINVAL, "t0 = %g is not finite", t0);
-    if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
-        return dal__fail(error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
-    if (t0 + h == t0)
-        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g; take a larger step",
-                         h, t0);
-    return DAL_SUCCESS;
-}
 
 static int check_start(dal_stepper *self, double t0, double h, const double *x,
                        dal_consistency consistency, dal_initial initial)
@@ -362,15 +281,6 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     return DAL_SUCCESS;
 }
 
-void dal__guard_forget(dal_stepper *stepper)
-{
-    dal__guard *const guard = &stepper->guard;
-    guard->run = NULL;
-    guard->on = guard->whole = false;
-    guard->remade = 0;
-    guard->error = (double)NAN;
-}
-
 /* ---- steps ------------------------------------------------------------------------------ */
 
 enum { BETWEEN_LOOKS = 64 };
@@ -413,12 +323,6 @@ int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
     memcpy(motion->x, x, 2 * stepper->mech.n * sizeof *x);
     if (stepper->family->start) stepper->family->start(stepper->method, motion);
     return DAL_SUCCESS;
-}
-
-int dal__stepper_started(dal_stepper *stepper)
-{
-    if (stepper->started) return DAL_SUCCESS;
-    return dal__fail(&stepper->error, DAL_EINVAL, "the stepper was not started; call start first");
 }
 
 /* A step that chooses its size; before one that is to be short C is looked at. */
@@ -471,28 +375,6 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
         const int stopped = motion->steps % BETWEEN_LOOKS == 0 ? dal__stepper_look(self) : 0;
         if (stopped) return stopped;
     }
-    return DAL_SUCCESS;
-}
-
-void dal__stepper_forget_impulse(dal_stepper *stepper)
-{
-    memset(stepper->motion.impulse, 0, stepper->mech.m * sizeof *stepper->motion.impulse);
-}
-
-int dal__stepper_reaction(dal_stepper *stepper, double elapsed, double *reaction)
-{
-    dal_stepper *const self = stepper;
-    const dal_motion *const motion = &self->motion;
-    double *const mean = self->mech.lambda;
-    for (size_t a = 0; a < self->mech.m; a++) {
-        const bool none = self->family->no_reaction || elapsed == 0.0; /* of a jump alone */
-        mean[a] = none ? (double)NAN : motion->impulse[a] / elapsed;
-        if (!none && !isfinite(mean[a]))
-            return dal__fail(&self->error, DAL_EDOMAIN, "reaction[%zu] = %g is not finite after "
-                             "step %zu (t = %g, h = %g)", a, mean[a], motion->steps,
-                             dal_stepper_time(self), motion->h);
-    }
-    memcpy(reaction, mean, self->mech.m * sizeof *reaction);
     return DAL_SUCCESS;
 }
 

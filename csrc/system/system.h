@@ -84,8 +84,8 @@ int dal__system_copy(dal_system **copy, const dal_system *system, dal_error *err
  * DAL_EINVAL, DAL_EDOMAIN, DAL_EUSER. */
 int dal__system_change(dal_system *system, const void *parameters, dal_error *error);
 
-/* M as mass or masses; whether what is given is finite and symmetric; what follows from M, with a text
- * that says where it is not positive definite.  DAL_EINVAL. */
+/* Whether M is constant; DAL_EINVAL unless it is finite and symmetric; what follows from M, or
+ * DAL_EINVAL with the pivot where it is not positive definite. */
 static inline bool dal__has_mass(const dal_system_def *def) { return def->mass || def->masses; }
 int dal__check_mass(const dal_system_def *def, dal_error *error);
 int dal__bind_mass(dal_system *system, dal_error *error);
