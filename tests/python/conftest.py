@@ -4,12 +4,15 @@ The formulas are transcribed into NumPy from the definitions, so that what the c
 compared with something computed another way.
 """
 
+import os
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
 import dalembert as dal
+
+os.environ["MPLBACKEND"] = "Agg"  # pictures without windows
 
 U = 2.0**-53  # unit roundoff
 
@@ -139,6 +142,16 @@ def own():
 @pytest.fixture
 def particle():
     return dal.systems.particle()
+
+
+@pytest.fixture
+def no_windows(monkeypatch):
+    """Nothing is shown, and no figure is left open."""
+    from matplotlib import pyplot
+
+    monkeypatch.setattr(pyplot, "show", lambda *_, **__: pytest.fail("a picture was shown"))
+    yield
+    pyplot.close("all")
 
 
 @pytest.fixture

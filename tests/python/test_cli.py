@@ -168,6 +168,8 @@ def test_version(run):
         (("study", "particle", "--t-end", "0"), "--t-end"),
         (("study", "disk", *["--parameter", "R=1"] * 2), "--parameter R is given more than once"),
         (("study", "disk", "--no-report", "--output", "x.html"), "not allowed with"),
+        (("catalogue", "--system", "pendulum"), "no system 'pendulum'; choose one of: particle"),
+        (("catalogue", "one", "two"), "unrecognized arguments: two"),
     ],
 )
 def test_usage_errors_are_status_2_and_say_what_there_is(arguments, message, run, tmp_path):

@@ -4,12 +4,9 @@ import doctest
 import importlib
 import pkgutil
 
-import matplotlib
 import pytest
 
 import dalembert
-
-matplotlib.use("Agg")
 
 # Running __main__ would run the command, and what builds the extension is not installed.
 MODULES = sorted(

@@ -1,4 +1,4 @@
-"""Ensembles on other processes: pools that break, dask, models that are compiled once."""
+"""Ensembles on other processes: pools that break, and dask."""
 
 from __future__ import annotations
 
@@ -163,31 +163,3 @@ def test_dask_with_a_member_that_always_kills(client, tmp_path):
     assert 10 in there.failed and len(there.failed) <= 6
     good = np.flatnonzero(there.success)
     assert len(good) >= 18 and (there.value[good] == here.value[good]).all()
-
-
-# ---- models ------------------------------------------------------------------------------------
-
-COMPILES = """
-import sys
-import dalembert as dal
-
-x, y, theta = dal.coordinates("x y theta")
-import sympy
-dal.System.from_sympy((x.d**2 + y.d**2 + theta.d**2 + {number} * theta**4) / 2,
-                      [x.d * sympy.sin(theta) - y.d * sympy.cos(theta)])
-"""
-
-
-def test_a_model_is_compiled_once(tmp_path):
-    """Several processes want the same model at once: one compiles, the others wait for it."""
-    import subprocess
-    import sys
-
-    compiler = tmp_path / "cc"
-    compiler.write_text(f"#!/bin/sh\necho once >> {tmp_path}/calls\nsleep 0.5\nexec cc \"$@\"\n")
-    compiler.chmod(0o755)
-    environment = os.environ | {"CC": str(compiler), "DALEMBERT_CACHE": str(tmp_path / "cache")}
-    code = COMPILES.format(number=7)
-    several = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(4)]
-    assert [process.wait() for process in several] == [0] * 4
-    assert (tmp_path / "calls").read_text().splitlines() == ["once"]

@@ -92,9 +92,14 @@ PARAMETERS = {
 }
 
 
-@pytest.mark.parametrize("scheme", ["leapfrog", "midpoint", "midpoint-nodes", "leapfrog-kl6",
-                                    "pair:0.5:0.25", "reference"])  # fmt: skip
-@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize(
+    "name, scheme",
+    [
+        *(("sleigh", x) for x in ("leapfrog", "midpoint-nodes", "pair:0.5:0.25", "reference")),
+        ("rolling_disc", "midpoint"), ("snakeboard", "leapfrog-kl6"),
+        ("contact_oscillator", "midpoint"),
+    ],
+)  # fmt: skip
 def test_members_are_runs(name, scheme):
     system = dal.systems.get(name)
     initial = "shift" if scheme.endswith("nodes") else None
@@ -251,7 +256,7 @@ def test_any_order_threads_and_blocks():
     values = {"m": RNG.uniform(0.5, 2, 40)}
     given = {"parameters": values, "h": 0.02, "steps": 30, "keep": ["all", "energy"]}
     one = many(system, "leapfrog", threads=1, block=40, **given)
-    for threads, block in ((2, 1), (3, 7), (8, 13), (1, None)):
+    for threads, block in ((2, 1), (3, 7), (1, None)):
         other = many(system, "leapfrog", threads=threads, block=block, **given)
         for name in one:
             assert np.array_equal(one[name], other[name], equal_nan=True), (name, threads, block)
@@ -546,7 +551,7 @@ def test_interrupt_keeps_what_was_made():
 
 def test_progress():
     seen = []
-    many(dal.systems.sleigh(), parameters={"a": np.full(300, 0.2)}, h=0.01, steps=20_000,
+    many(dal.systems.sleigh(), parameters={"a": np.full(300, 0.2)}, h=0.01, steps=5_000,
          progress=lambda done, total: seen.append((done, total)))  # fmt: skip
     done = [one for one, _ in seen]
     assert done == sorted(done) and done[-1] == 300 and len(done) > 3

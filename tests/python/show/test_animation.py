@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 from pathlib import Path
@@ -9,17 +10,15 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib import pyplot
+from matplotlib.colors import to_hex
+from PIL import Image
 
-matplotlib.use("Agg")
+import dalembert as dal
+from dalembert.show import animation, bodies, film_page, scene
+from dalembert.show.bodies import Shape, arrow, blade, circle, dot, line, polygon
 
-from matplotlib import pyplot  # noqa: E402
-from matplotlib.colors import to_hex  # noqa: E402
-from PIL import Image  # noqa: E402
-
-import dalembert as dal  # noqa: E402
-from dalembert.show import animation, bodies, film_page, scene  # noqa: E402
-from dalembert.show.bodies import Shape, arrow, blade, circle, dot, line, polygon  # noqa: E402
-
+pytestmark = pytest.mark.usefixtures("no_windows")
 EVERY = (*dal.systems.names(), *dal.systems.names_in_sympy())
 # Those whose constraints are blades, or wheels from above; and wheels in space.
 BLADES = ("knife_edge", "sleigh", "sleigh_contact", "sleigh_with_rotor", "n_trailer", "snakeboard",
@@ -27,13 +26,7 @@ BLADES = ("knife_edge", "sleigh", "sleigh_contact", "sleigh_with_rotor", "n_trai
 WHEELS = {"disk": "R", "robot": "R", "rolling_disc": "r"}
 
 
-@pytest.fixture(autouse=True)
-def no_windows(monkeypatch):
-    monkeypatch.setattr(pyplot, "show", lambda *_, **__: pytest.fail("a picture was shown"))
-    yield
-    pyplot.close("all")
-
-
+@functools.cache
 def made(name, **options):
     return dal.integrate(dal.systems.get(name), "leapfrog", **{"h": 0.02, "t_end": 4, **options})
 
@@ -188,7 +181,7 @@ def test_shapes_are_what_they_should_be():
 # ---- reactions -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [*BLADES, *WHEELS, "ball_on_table"])
+@pytest.mark.parametrize("name", ["knife_edge", "n_trailer", *WHEELS, "ball_on_table"])
 def test_the_reactions_move_the_whole(name):
     """x and y move all bodies, so that the forces at the contacts add up to mu^T lambda there."""
     run = made(name)
@@ -239,7 +232,7 @@ def test_the_reaction_of_a_nonlinear_constraint_at_any_speed(c):
 
 
 def test_roundoff_of_a_fall_from_rest_has_no_arrow_and_a_force_on_a_hill_has_one():
-    fall = made("knife_edge", q0=[0, 0, np.pi], v0=[0, 0, 0])
+    fall = made("knife_edge", q0=(0, 0, np.pi), v0=(0, 0, 0))
     assert abs(fall.multipliers).max() > 0 and dal.plot.animate(fall).scale is None
     hill = dal.System(
         mass=[1, 1, 1], coordinates=["x", "y", "theta"], potential=lambda q: 1e12,
@@ -380,7 +373,7 @@ def test_backwards_in_time():
 
 
 def test_rows_of_t_eval_are_drawn_with_their_own_times():
-    t = [0.0, 0.1, 0.15, 2.0, 3.9, 4.0]
+    t = (0.0, 0.1, 0.15, 2.0, 3.9, 4.0)
     run = made("sleigh", t_eval=t)
     film = dal.plot.animate(run, fps=9, seconds=1)
     assert set(film.t) <= set(t)
@@ -388,7 +381,7 @@ def test_rows_of_t_eval_are_drawn_with_their_own_times():
     np.testing.assert_allclose(film._scene.frames[4][1].middle,
                                shapes_of(run, run.q[3], run.v[3])[1].middle)  # fmt: skip
     assert film.frame(1.2).get_title(loc="right") == "t = 2.0"
-    back = made("sleigh", h=-0.02, t_end=-4, t_eval=[-x for x in t])
+    back = made("sleigh", h=-0.02, t_end=-4, t_eval=tuple(-x for x in t))
     np.testing.assert_array_equal(dal.plot.animate(back, fps=9, seconds=1).t, -film.t)
 
 
@@ -569,7 +562,7 @@ def test_the_clock_tells_frames_apart():
     film = dal.plot.animate(short, fps=5, seconds=1)
     assert len({film._clock(t) for t in film.t}) == 5
     assert film._clock(1e-9) == "t = 1e-09"
-    few = made("sleigh", h=1e-3, t_end=2e-3, t_eval=[0, 1e-3, 1.7e-3, 2e-3])
+    few = made("sleigh", h=1e-3, t_end=2e-3, t_eval=(0, 1e-3, 1.7e-3, 2e-3))
     film = dal.plot.animate(few, fps=9, seconds=1)
     assert {film._clock(t) for t in film.t} == {f"t = {t}" for t in ("0.0000", "0.0010", "0.0017",
                                                                      "0.0020")}  # fmt: skip
@@ -671,21 +664,21 @@ def test_names_are_drawn_letter_by_letter():
 def test_a_gif_has_the_frames_and_lasts_as_long_as_said(run, tmp_path):
     file = tmp_path / "a.gif"
     shown = []
-    film = dal.plot.animate(run, fps=30, seconds=0.5)
+    film = dal.plot.animate(run, fps=30, seconds=0.2)
     film.save(file, progress=lambda done, total: shown.append((done, total)))
-    assert shown == [(k, 15) for k in range(16)]
+    assert shown == [(k, 6) for k in range(7)]
     with Image.open(file) as image:
-        assert image.n_frames == len(film) == 15
+        assert image.n_frames == len(film) == 6
         assert image.size == tuple(film.ax.figure.bbox.size)
         durations = []
-        for k in range(15):
+        for k in range(6):
             image.seek(k)
             durations.append(image.info["duration"])
             assert image.convert("RGB").getpixel((1, 1)) == (255, 255, 255)
         drawn = np.asarray(image.convert("RGB")).reshape(-1, 3).tolist()
         assert [235, 235, 235] in drawn and [0, 114, 178] in drawn  # the grid, and an outline
         assert image.info["loop"] == 0
-    assert sum(durations) == 500 and set(durations) == {30, 40}
+    assert sum(durations) == 200 and set(durations) == {30, 40}
     with pytest.raises(ValueError, match="fps = 60: expected 0.002 to 50 frames per second"):
         dal.plot.animate(run, fps=60).save(file)
 

@@ -64,9 +64,11 @@ def test_a_system(shown, sleigh):
 
 
 def test_a_long_formula_is_cut():
-    x, y = dal.coordinates("x y")
-    potential = sum((k + 1) * x**k * y ** (90 - k) for k in range(90))
-    page = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - potential)._repr_html_()
+    terms = "".join(f" - {k} x^{k} y^{90 - k}" for k in range(1, 90))
+    long = dal.System(
+        mass=[1, 1], coordinates="xy", formulas=[f"L = (v_x^2 + v_y^2)/2{terms}"]
+    )  # fmt: skip
+    page = long._repr_html_()
     assert "letters in all)" in page and len(page) < 20_000
 
 
@@ -86,6 +88,7 @@ def test_a_run(shown, run):
     assert 'aria-label="Path in the plane of x and y of sleigh' in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_other_runs():
     """Kept nodes, no constraints, a reference, one that failed, one that keeps nothing."""
     particle = dal.systems.particle()
@@ -112,13 +115,14 @@ def test_other_runs():
     assert "a run that failed" in broken._repr_html_()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_long_run_is_looked_at_in_places(monkeypatch):
     """Neither the picture nor the verdict takes all rows."""
     system = dal.System(mass=[1, 1, 1], forms=forms, q0=[0, 1, 0], v0=[1, 1, 1])
-    run = dal.integrate(system, "reference", h=0.001, steps=3000)
+    run = dal.integrate(system, "reference", h=0.0075, steps=400)
     monkeypatch.setattr(panels, "ROWS", 100)
     text = run._repr_html_()
-    assert "at 100 of 3001 states" in text and len(text) < 60_000
+    assert "at 100 of 401 states" in text and len(text) < 60_000
     assert not run._computed.keys() - {"t"}
     (seen,) = re.findall('aria-label="([^"]*)"', text)
     assert "from t = 0 to 3:" in seen and f"q0 from 0 to {run.q[-1, 0]:.3g}, " in seen
@@ -126,6 +130,7 @@ def test_a_long_run_is_looked_at_in_places(monkeypatch):
 
 
 @pytest.mark.parametrize("names", ["xy", "ab"])
+@pytest.mark.usefixtures("undrawn")
 def test_a_fast_run_does_not_look_slow(names, monkeypatch):
     """A spring with some 160 oscillations: 100 rows all over would show others."""
     spring = dal.System(
@@ -138,6 +143,7 @@ def test_a_fast_run_does_not_look_slow(names, monkeypatch):
     assert "The first 100 of 5001 states." in text and "from t = 0 to 1.98:" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_journal_of_kept_nodes(tmp_path):
     """Its statistics are not known, and its start lies in D, not in D_eps."""
     path = tmp_path / "run.dal"
@@ -178,6 +184,7 @@ def test_a_scheme(shown):
     assert "sub-steps" not in Page(dal.Scheme.pair()._repr_html_()).words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_hostile_names():
     system = dal.System(
         mass=[1, 1], coordinates=["<script>", "$`y`"], q0=[0, 0], v0=[1, 1], name="</div><b>&",
@@ -196,6 +203,6 @@ def test_without_jinja2(sleigh, run, monkeypatch):
         assert one._repr_html_() is None
 
 
-def test_the_same_bytes_again(run, shown, sleigh):
+def test_the_same_bytes_again(shown, sleigh):
     again = dal.integrate(sleigh, h=0.01, t_end=2)
-    assert run._repr_html_() == again._repr_html_() == shown["Solution"]
+    assert again._repr_html_() == shown["Solution"]

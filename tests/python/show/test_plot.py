@@ -7,29 +7,19 @@ import re
 import sys
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
+from matplotlib import pyplot
+from matplotlib.colors import to_hex, to_rgb
 
-matplotlib.use("Agg")
+import dalembert as dal
+from dalembert.show import palette
 
-from matplotlib import pyplot  # noqa: E402
-from matplotlib.colors import to_hex, to_rgb  # noqa: E402
-
-import dalembert as dal  # noqa: E402
-from dalembert.show import palette  # noqa: E402
+pytestmark = pytest.mark.usefixtures("no_windows")
 
 ROOT = Path(__file__).resolve().parents[3]
 STEPS = (10, 15, 20, 30)
 ROUNDOFF = 2.0**-53
-
-
-@pytest.fixture(autouse=True)
-def no_windows(monkeypatch):
-    """Nothing is shown, and no figure is left open."""
-    monkeypatch.setattr(pyplot, "show", lambda *_, **__: pytest.fail("a picture was shown"))
-    yield
-    pyplot.close("all")
 
 
 @pytest.fixture(scope="module")

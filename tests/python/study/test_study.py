@@ -159,7 +159,6 @@ def half_line(x, y, z):
     "potential, scheme, order_at_end",
     [
         (lambda x, y, z: abs(x - sp.Rational(1, 2)), "leapfrog-suzuki4", 1),
-        (lambda x, y, z: abs(x - sp.Rational(1, 2)), "leapfrog", 1),
         (half_line, "leapfrog-suzuki4", 2),
     ],
 )
@@ -173,24 +172,21 @@ def test_an_order_that_is_lost_on_the_way_is_not_settled(potential, scheme, orde
 
 
 @pytest.mark.parametrize(
-    "potential, scheme, q0, v0",
+    "potential, scheme, given",
     [
-        *((lambda x, y, z: 10**6 * x**2 / 2, name, [0.1, 1, 0], [1, 1, 1])
-          for name in ("explicit", "leapfrog", "leapfrog-kl6")),
-        *((lambda x, y, z: -1 / sp.sqrt(x**2 + y**2 + z**2), name, [0, 0.05, 0], [1, 0.1, 0.05])
-          for name in ("leapfrog", "leapfrog-suzuki4", "leapfrog-kl6")),
-        (lambda x, y, z: 0, "leapfrog-suzuki4", [0, 1e-3, 0], [1e3, 1e3, 1]),
+        *((lambda x, y, z: 10**6 * x**2 / 2, name, {"q0": [0.1, 1, 0], "v0": [1, 1, 1]})
+          for name in ("explicit", "leapfrog-kl6")),
+        *((lambda x, y, z: -1 / sp.sqrt(x**2 + y**2 + z**2), name,
+           {"q0": [0, 0.05, 0], "v0": [1, 0.1, 0.05]}) for name in ("leapfrog", "leapfrog-kl6")),
+        (None, "leapfrog-suzuki4", {"q0": [0, 1e-3, 0], "v0": [1e3, 1e3, 1]}),
+        (None, "midpoint", {"t_end": 1e4, "steps": [1, 2, 4, 8]}),
     ],
 )  # fmt: skip
-def test_runs_that_do_not_resolve_the_motion_settle_nothing(potential, scheme, q0, v0):
-    study = dal.convergence(particle_with(potential), scheme, q0, v0)
+def test_runs_that_do_not_resolve_the_motion_settle_nothing(potential, scheme, given):
+    system = particle_with(potential) if potential else dal.systems.particle()
+    study = dal.convergence(system, scheme, **given)
     assert study.holds is None and "as large as the solution" in study.text
     assert "gradient" not in study.text  # the energy has every reason
-
-
-def test_a_long_interval_in_one_step_settles_nothing():
-    study = dal.convergence(dal.systems.particle(), "midpoint", t_end=1e4, steps=[1, 2, 4, 8])
-    assert study.holds is None and "as large as the solution" in study.text
 
 
 def test_an_order_that_still_changes_is_not_settled():
@@ -210,8 +206,8 @@ def test_an_order_that_still_changes_is_not_settled():
     assert dal.convergence(system, "leapfrog", q0, v0, steps=[80, 160, 320]).holds is True
 
 
-@pytest.mark.parametrize("t_end", [1e-8, 1e-7, 1e-6, 1e-5, 1e-3, 1])
-@pytest.mark.parametrize("order", [2, 3, 4])
+@pytest.mark.parametrize("t_end", [1e-8, 1e-6, 1e-3, 1])
+@pytest.mark.parametrize("order", [2, 4])
 def test_no_false_promise_holds_over_a_short_interval(t_end, order):
     first = dal.Scheme([(0.0, 1.0)], name="first", order=order)
     study = dal.convergence(dal.systems.particle(), first, t_end=t_end)
@@ -252,7 +248,10 @@ def test_steps_between_those_too_large_and_roundoff_are_counted():
     assert many.verdict == "undecided" and "as large as the solution" in many.text
 
 
-@pytest.mark.parametrize("system", dal.systems.names())
+SOME = ("knife_edge", "heisenberg", "rolling_disc", "n_trailer")
+
+
+@pytest.mark.parametrize("system", SOME)
 @pytest.mark.parametrize(
     "base, order", [("leapfrog-kl8", 10), ("leapfrog-suzuki4", 10), ("bm6", 8)]
 )
@@ -363,8 +362,9 @@ def test_more_steps_are_to_be_had_when_they_are_asked_for():
     assert dal.studies(dal.systems.particle(), both, steps=STEPS, max_steps=230).holds
 
 
-@pytest.mark.parametrize("schemes", [["leapfrog-kl8"], ["midpoint", "leapfrog-kl6"]])
-@pytest.mark.parametrize("t_end", [1, 7.5])
+@pytest.mark.parametrize(
+    "schemes, t_end", [(["leapfrog-kl8"], 1), (["midpoint", "leapfrog-kl6"], 7.5)]
+)
 def test_what_is_said_to_go_on_is_enough(schemes, t_end):
     def study(max_steps):
         return dal.studies(dal.systems.particle(), schemes, t_end=t_end, max_steps=max_steps)
@@ -377,17 +377,14 @@ def test_what_is_said_to_go_on_is_enough(schemes, t_end):
         study(enough - 1)
 
 
-@pytest.mark.parametrize("width", [float("nan"), float("inf"), 0, -5, "wide", 60.5, None])
-def test_a_width_that_is_none(midpoint, width):
-    for item in (midpoint, dal.study.Studies([midpoint])):
-        with pytest.raises(ValueError, match="^width = "):
-            item.table(width=width)
-
-
-@pytest.mark.parametrize("ax", [..., 3, "axes", [1]])
-def test_axes_that_are_none(midpoint, ax):
-    with pytest.raises(ValueError, match="^ax is "):
-        midpoint.plot(ax=ax)
+def test_widths_and_axes_that_are_none(midpoint):
+    for width in (float("nan"), float("inf"), 0, -5, "wide", 60.5, None):
+        for item in (midpoint, dal.study.Studies([midpoint])):
+            with pytest.raises(ValueError, match="^width = "):
+                item.table(width=width)
+    for ax in (..., 3, "axes", [1]):
+        with pytest.raises(ValueError, match="^ax is "):
+            midpoint.plot(ax=ax)
 
 
 def test_local_orders_are_those_between_neighbours(midpoint):
@@ -424,26 +421,24 @@ def test_kept_nodes_keep_the_other_set_and_lose_an_order():
     assert round(started_in_D.s) == -1
 
 
-def test_a_promise_that_is_too_good_fails():
-    claim = dal.Scheme([(0.5, 1.0)], name="claims-3", order=3, multiplier_order=0)
-    study = dal.convergence(dal.systems.particle(), claim, Q0, V0, steps=STEPS)
-    assert study.holds is False and study.verdict == "fails"
-    assert round(study.p) == 2
-    assert "promised (3, 0)" in study.text
-
-
-def test_a_promise_about_the_multipliers_fails_by_itself():
-    claim = dal.Scheme([(0.5, 1.0)], name="claims-s", order=2, multiplier_order=1)
-    assert dal.convergence(dal.systems.particle(), claim, Q0, V0, steps=STEPS).holds is False
-
-
-def test_without_a_promise_there_is_no_verdict():
-    study = dal.convergence(dal.systems.particle(), 0.3, Q0, V0, steps=STEPS)
-    assert study.scheme.order == 1 and study.holds is True  # beta by number is a named record
-    own = dal.convergence(dal.systems.particle(), dal.Scheme([(0.3, 1.0)]), Q0, V0, steps=STEPS)
-    assert own.holds is None and own.verdict == "no promise" and own.promise == "nothing"
-    few = dal.convergence(dal.systems.particle(), "midpoint", Q0, V0, steps=(10, 11))
-    assert few.holds is None and few.verdict == "undecided"
+@pytest.mark.parametrize(
+    "scheme, steps, holds, verdict",
+    [
+        (dal.Scheme([(0.5, 1.0)], name="claims-3", order=3, multiplier_order=0), STEPS, False,
+         "fails"),
+        (dal.Scheme([(0.5, 1.0)], name="claims-s", order=2, multiplier_order=1), STEPS, False,
+         "fails"),
+        (dal.Scheme([(0.3, 1.0)]), STEPS, None, "no promise"),
+        (0.3, STEPS, True, "holds"),  # beta by number is a named record
+        ("midpoint", (10, 11), None, "undecided"),
+    ],
+)  # fmt: skip
+def test_verdicts_on_promises(scheme, steps, holds, verdict):
+    study = dal.convergence(dal.systems.particle(), scheme, Q0, V0, steps=steps)
+    assert study.holds is holds and study.verdict == verdict
+    promise = {"claims-3": "promised (3, 0)", "claims-s": "promised (2, 1)"}
+    assert promise.get(study.scheme.name, "") in study.text
+    assert (study.promise == "nothing") == (verdict == "no promise")
 
 
 def test_a_run_that_fails_is_an_entry_and_not_the_end():
@@ -457,9 +452,12 @@ def test_a_run_that_fails_is_an_entry_and_not_the_end():
 
 
 @pytest.mark.parametrize(
-    "name", ["explicit", "midpoint", "leapfrog-yoshida4", "midpoint-kl6", "leapfrog-kl8"]
-)
-@pytest.mark.parametrize("t_end", [1.0, 5.0, -1.0])
+    "name, t_end",
+    [
+        ("explicit", 1.0), ("midpoint", -1.0), ("leapfrog-yoshida4", 5.0), ("midpoint-kl6", -1.0),
+        ("leapfrog-kl8", 1.0),
+    ],
+)  # fmt: skip
 def test_default_steps_tell_the_order(name, t_end):
     study = dal.convergence(dal.systems.knife_edge(), name, t_end=t_end)
     clear = study.local_error > 100 * study.floor
@@ -506,7 +504,7 @@ def test_the_default_steps_are_fine_enough_for_reactions_that_change_sign():
     assert np.abs(np.diff(np.log(errors))).max() > 0.5
 
 
-@pytest.mark.parametrize("system", dal.systems.names())
+@pytest.mark.parametrize("system", SOME)
 def test_every_named_scheme_has_a_verdict_with_the_default_steps(system):
     studies = dal.studies(dal.systems.get(system))
     promised = [scheme.name for scheme in dal.schemes() if scheme.order > 0]
@@ -706,9 +704,8 @@ def test_html_representation_has_the_table(midpoint, monkeypatch):
         (dict(t_end=0.0), "t_end"),
         (dict(t_end=np.nan), "t_end"),
         *(
-            (dict(system=system, tolerance=tolerance), r"tolerance = .*: expected a number")
-            for system in (dal.systems.chaotic(), dal.systems.particle_oscillator())
-            for tolerance in (-1.0, 0, 1e-300, 4.4e-16, 0.2)
+            (dict(system=dal.systems.chaotic(), tolerance=x), r"tolerance = .*: expected a number")
+            for x in (-1.0, 0, 1e-300, 4.4e-16, 0.2)
         ),
         (dict(q0=[1, 2]), "q0"),
         (dict(initial="D"), "initial = 'D'.*moved nodes"),

@@ -49,13 +49,6 @@ def knife_edge():
     return dal.System.from_sympy(L, [sin(theta) * x.d - cos(theta) * y.d], parameters={m: 2, J: 1})
 
 
-def swinging_edge():
-    """V pushes the heading, which mu depends on."""
-    x, y, theta = q = dal.coordinates("x y theta")
-    return dal.System.from_sympy(free(q) + 5 * x + cos(theta) / 10,
-                                 [sin(theta) * x.d - cos(theta) * y.d])  # fmt: skip
-
-
 def sleigh():
     x, y, theta = dal.coordinates("x y theta")
     m, J, a = sympy.symbols("m J a")
@@ -106,8 +99,8 @@ def timed():
     return dal.System.from_sympy(free(q) - z**2 / 2, [row], parameters={w: 2}, force=force)
 
 
-ALGEBRAIC = [particle, particle_oscillator, contact_oscillator, pivoting, unconstrained, jumping]
-SYSTEMS = [*ALGEBRAIC, knife_edge, swinging_edge, sleigh, robot, timed]
+ALGEBRAIC = [particle_oscillator, pivoting, unconstrained, jumping]
+SYSTEMS = [*ALGEBRAIC, knife_edge, sleigh, robot, timed]
 
 
 class Lanes:
@@ -183,20 +176,26 @@ def vectors(system):
 
 @pytest.fixture
 def flags(request, monkeypatch, tmp_path):
-    """With and without the vector math library, and by a compiler that passes vectors otherwise."""
+    """With and without the vector math library, with the flags of users, and by a compiler that
+    passes vectors otherwise."""
     if request.param == "clang":
         if shutil.which("clang") is None:
             pytest.skip("clang is not installed; .ci/run installs it")
         monkeypatch.setenv("CC", "clang")
-    if request.param == "libm":
+    if request.param in ("libm", "users"):
         monkeypatch.setenv("DALEMBERT_CACHE", str(tmp_path))
         monkeypatch.setattr(compiler, "_libraries", {})
+    if request.param == "libm":
         monkeypatch.setattr(compiler, "_flags_for_lanes", lambda _: compiler.COMMON)
+    if request.param == "users":
+        for name in ("COMMON", "FLAGS"):
+            plain = tuple(flag for flag in getattr(compiler, name) if flag != "-O0")
+            monkeypatch.setattr(compiler, name, plain)
     return request.param
 
 
 CASES = [(make, "libmvec") for make in SYSTEMS]
-CASES += [(timed, "libm"), (robot, "clang")]
+CASES += [(timed, "libm"), (particle_oscillator, "users"), (robot, "users"), (robot, "clang")]
 
 
 @pytest.mark.parametrize("make, flags", CASES, indirect=["flags"],
@@ -235,7 +234,7 @@ def count(system, scheme, lane, lanes):
     return found.iterations, found.constraint_calls, found.potential_calls, found.worst_residual
 
 
-@pytest.mark.parametrize("make", [sleigh, robot, jumping], ids=lambda make: make.__name__)
+@pytest.mark.parametrize("make", [robot, jumping], ids=lambda make: make.__name__)
 def test_neighbours_do_not_matter(make):
     """Lanes in another order, alone, beside others that stop at once or later, in other pieces."""
     system = together(make())
@@ -277,7 +276,7 @@ def fenced():
     return dal.System.from_sympy(free(q) - V, [row])
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", ["explicit", "midpoint", "0.3", "leapfrog-kl8"])
 @pytest.mark.parametrize("make, h, size",
                          [(fenced, 0.05, 0.35), (contact_oscillator, 1.5, 1), (pivoting, 0.6, 1)],
                          ids=["domain", "large steps", "pivots"])  # fmt: skip

@@ -259,11 +259,19 @@ def test_kinds_behind_a_wall():
         (T + x.d**2 * Max(0, Abs(x) - 2), [], "linear", False),
         (T + sympy.atan(x.d) + sympy.atan(1 / x.d), [], "linear", False),
         (T + HIDDEN * x.d**4, [HIDDEN * x.d**2 + z.d - y * x.d], "linear", True),
+        (T, [(z.d + y) * 2 - 2 * y + x.d], "linear", True),
+        (T, [TURN.subs(a, x) * z.d + x.d**2 - x.d * (x.d - y)], "linear", True),
+        (T, [z.d + cos(x)], "affine", True),
+        (T, [sqrt(x.d**2 + y.d**2) - 2], "nonlinear", True),
     ]
     for L, constraints, kind, constant in cases:
-        model, _ = symbolic.make_model(L, constraints, COORDINATES, *[None] * 5)
-        found = model.derived
-        assert (found.kind, found.mass is not None) == (kind, constant), (L, constraints)
+        of_kind(L, constraints, kind, constant)
+
+
+def of_kind(L, constraints, kind, constant, parameters=None):
+    model, _ = symbolic.make_model(L, constraints, COORDINATES, parameters)
+    found = model.derived
+    assert (found.kind, found.mass is not None) == (kind, constant), (L, constraints)
 
 
 def test_structure_decides_before_a_proof():
@@ -279,9 +287,7 @@ def test_structure_decides_before_a_proof():
         (m * (T - long * Piecewise((0, x.d < 2), (1, True))), [], "linear", False),
     ]
     for L, constraints, kind, constant in cases:
-        model, _ = symbolic.make_model(L, constraints, COORDINATES, {m: 1}, *[None] * 4)
-        found = model.derived
-        assert (found.kind, found.mass is not None) == (kind, constant), (L, constraints)
+        of_kind(L, constraints, kind, constant, {m: 1})
 
 
 def test_what_turns_at_a_constant_rate():
@@ -291,7 +297,7 @@ def test_what_turns_at_a_constant_rate():
         s, c = (f(z + 2 * dal.time) for f in (sin, cos))
         L = ((c * x.d + s * y.d) ** 2 + (c * y.d - s * x.d) ** 2 + z.d**2) / 2 + extra
         row = c * (c * x.d) + s * s * x.d - z.d
-        model, _ = symbolic.make_model(L, [row], COORDINATES, *[None] * 5)
+        model, _ = symbolic.make_model(L, [row], COORDINATES, None)
         assert model.is_time_dependent == timed
         assert dal.time not in model.constraints[0].free_symbols
 
@@ -373,20 +379,27 @@ def test_jumps_of_derivatives():
 
 def test_pieces_without_a_default():
     """Outside them nothing is known: a DomainError, compiled and not."""
-    for V in (Piecewise((x**2, x < 1)), Max(0, log(1 - x)), Min(log(1 - x), 9)):
-        part = made(T - V)
-        assert np.isfinite(part.acceleration([0.5, 0, 0], [0, 0, 0])).all()
-        with pytest.raises(dal.DomainError):
-            part.acceleration([2, 0, 0], [0, 0, 0])
-    unknown = log(1 - x)  # beyond x = 1
+    unknown, case = log(1 - x), sympy.Symbol("case")  # beyond x = 1
+
+    def chosen(parts):
+        return Piecewise(*((part, case < k + 1) for k, part in enumerate(parts)), (0, True))
+
+    potentials = Piecewise((x**2, x < 1)), Max(0, unknown), Min(unknown, 9)
     pushes = [sign(unknown), Heaviside(unknown)]
     pushes += [extreme(unknown, log(1 + y)) for extreme in (Max, Min)]
     pushes += [extreme(unknown, log(3 - y)) for extreme in (Max, Min)]  # in the other order
-    for push in (*pushes, sign(exp(500 * x) - exp(400 * x))):  # infinite, both
-        part = made(T, force={x: push})
-        assert np.isfinite(part.acceleration([0.5, 1, 0], [0, 0, 0])).all()
-        with pytest.raises(dal.DomainError):
-            part.acceleration([2, 0, 0], [0, 0, 0])
+    pushes.append(sign(exp(500 * x) - exp(400 * x)))  # infinite, both
+    for part, count in (
+        (made(T - chosen(potentials), parameters={case: 0}), len(potentials)),
+        (made(T, force={x: chosen(pushes)}, parameters={case: 0}), len(pushes)),
+    ):
+        for k in range(count):
+            one = part.with_parameters(case=k)
+            assert np.isfinite(one.acceleration([0.5, 1, 0], [0, 0, 0])).all()
+            with pytest.raises(dal.DomainError):
+                one.acceleration([2, 0, 0], [0, 0, 0])
+        none = part.with_parameters(case=count)
+        assert (none.acceleration([2, 0, 0], [0, 0, 0]) == 0).all()
 
 
 def test_without_a_compiler(monkeypatch):
