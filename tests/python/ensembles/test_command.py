@@ -91,7 +91,6 @@ def many(**more):
 
 
 def test_pictures():
-    x = dal.coordinates("x y theta")[0]
     values = {"a": np.linspace(0.1, 0.3, 8)}
     bands = many(parameters=values, keep="all", stride=10).plot("theta")
     assert bands.get_xlabel() == "t" and len(bands.collections) == 2
@@ -101,7 +100,7 @@ def test_pictures():
     ends = many(parameters=values).plot("x", y="v_theta")
     assert ends.get_ylabel().startswith("v_theta")
     grid = dal.grid(a=[0.1, 0.2, 0.3], J=[1, 2])
-    walls = many(parameters=grid, events=[dal.Event(x - 0.05, terminal=True)]).plot()
+    walls = many(parameters=grid, events=[dal.Event(lambda t, q, v: q[0] - 0.05, terminal=True)]).plot()
     assert walls.get_xlabel() == "a" and walls.get_ylabel() == "J"
     assert many(parameters=grid).plot("theta").collections
     assert many(parameters=values, keep=["end", "energy"]).plot().get_xlabel().startswith("energy")
