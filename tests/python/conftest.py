@@ -4,6 +4,7 @@ The formulas are transcribed into NumPy from the definitions, so that what the c
 compared with something computed another way.
 """
 
+import io
 import os
 from html.parser import HTMLParser
 
@@ -157,8 +158,17 @@ def no_windows(monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pictures on pages are empty, which takes no time; what is said about them stays."""
-    empty = "<svg ></svg>"
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **__: file.write(empty))
+    from matplotlib.figure import Figure
+
+    plain = Figure.savefig
+
+    def save(figure, file, **options):
+        if isinstance(file, io.StringIO):
+            file.write("<svg ></svg>")
+        else:
+            plain(figure, file, **options)
+
+    monkeypatch.setattr(Figure, "savefig", save)
 
 
 def particle_forms(q):

@@ -19,6 +19,7 @@ MODULES = sorted(
 )
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", ["", *MODULES])
 def test_examples(name):
     for other in MODULES:  # a module that comes with its first use would disturb the search
