@@ -100,7 +100,8 @@ def test_pictures():
     ends = many(parameters=values).plot("x", y="v_theta")
     assert ends.get_ylabel().startswith("v_theta")
     grid = dal.grid(a=[0.1, 0.2, 0.3], J=[1, 2])
-    walls = many(parameters=grid, events=[dal.Event(lambda t, q, v: q[0] - 0.05, terminal=True)]).plot()
+    wall = dal.Event(lambda t, q, v: q[0] - 0.05, terminal=True)
+    walls = many(parameters=grid, events=[wall]).plot()
     assert walls.get_xlabel() == "a" and walls.get_ylabel() == "J"
     assert many(parameters=grid).plot("theta").collections
     assert many(parameters=values, keep=["end", "energy"]).plot().get_xlabel().startswith("energy")
