@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import dalembert as dal
+from dalembert import compiler
 
 os.environ["MPLBACKEND"] = "Agg"  # pictures without windows
 
@@ -133,6 +134,14 @@ class Own:
     def residual(self, q, v):
         """See `relative_residual`."""
         return relative_residual(self.mass, self.forms(q), v)
+
+
+@pytest.fixture
+def in_python(monkeypatch):
+    """Nothing is compiled: systems and laws from expressions run as Python functions."""
+    monkeypatch.setattr(compiler, "library", lambda *_: None)
+    with pytest.warns(dal.DalembertWarning, match="no C compiler"):
+        yield
 
 
 @pytest.fixture
