@@ -45,22 +45,6 @@ def failing(function, at, error):
 # ---- what functions get and return ---------------------------------------------------------
 
 
-def test_arrays_are_read_only_and_may_be_kept(own):
-    kept = []
-
-    def forms(q):
-        assert not q.flags.writeable
-        kept.append((q, q.copy()))
-        return own.forms(q)
-
-    system = own.system(forms=forms, m=2)
-    dal.integrate(system, "midpoint", h=H, steps=5)
-    del system
-    assert len(kept) > 5
-    for q, then in kept:
-        np.testing.assert_array_equal(q, then)
-
-
 def test_writing_to_an_argument_is_refused(own):
     def gradient(q):
         q[0] = 0.0
@@ -396,7 +380,7 @@ class Interrupt:
     """Press Ctrl-C a moment after the start, or after the first progress that a run shows."""
 
     def __init__(self):
-        self.timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
+        self.timer = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT))
         self.began = None
 
     def start(self):
@@ -466,7 +450,7 @@ def test_ctrl_c_in_one_long_call(interrupt, name):
     interrupt.start()
     with pytest.raises(KeyboardInterrupt):
         LONG[name](one)
-    # It is pressed after 0.2 s and seen within 0.1 s; no call ends in less than 10 s.
+    # It is pressed after 0.05 s and seen within 0.1 s; no call ends in less than 10 s.
     assert time.perf_counter() - interrupt.began < 9
 
 

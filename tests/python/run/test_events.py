@@ -75,11 +75,11 @@ def test_forms_of_events():
 
 def test_expressions_without_a_compiler(monkeypatch):
     x, y, theta = dal.coordinates("x y theta")
-    compiled = dal.integrate(EDGE, h=0.05, t_end=2, events=[x * theta.d - sympy.Rational(1, 3)])
     monkeypatch.setenv("CC", "none-such")
-    slow = dal.integrate(EDGE, h=0.05, t_end=2, events=[x * theta.d - sympy.Rational(1, 3)])
-    assert len(slow.t_events[0]) == 2
-    np.testing.assert_allclose(slow.t_events[0], compiled.t_events[0], atol=1e-14)
+    both = [x * theta.d - sympy.Rational(1, 3), lambda t, q, v: q[0] * v[2] - 1 / 3]
+    run = dal.integrate(EDGE, h=0.05, t_end=2, events=both)
+    assert len(run.t_events[0]) == 2
+    np.testing.assert_allclose(*run.t_events, atol=1e-14)
 
 
 def test_terminal():
@@ -223,7 +223,6 @@ def test_t_eval(scheme, h):
     assert np.isnan(run.reactions).all() and run.reactions.shape == (41, 1)
     with pytest.raises(ValueError, match="t_eval"):
         run(times[3])
-    assert len(run.to_xarray().time) == 42
 
 
 @pytest.mark.parametrize("scheme", ["midpoint", "midpoint-nodes", "endpoint-nodes"])

@@ -56,13 +56,11 @@ def from_sympy(left=None, right=None, **options):
 
 
 @pytest.fixture(params=["functions", "sympy", "without a compiler"])
-def cart(request, monkeypatch):
+def cart(request):
     if request.param == "functions":
         return from_functions()
     if request.param == "without a compiler":
-        monkeypatch.setenv("CC", "none-such")
-        with pytest.warns(dal.DalembertWarning, match="no C compiler"):
-            return from_sympy()
+        request.getfixturevalue("in_python")
     return from_sympy()
 
 
@@ -205,7 +203,7 @@ def test_orders(scheme, order):
     np.testing.assert_allclose(reference.x[-1], expected, atol=1e-11)
 
 
-@pytest.mark.parametrize("hold, stride", [(1, 1), (3, 4), (5, 2), (40, 1)])
+@pytest.mark.parametrize("hold, stride", [(1, 1), (5, 2), (40, 1)])
 def test_one_way_or_another(cart, hold, stride):
     """A table, names, a controller and steps by hand give the same bits."""
     holds = -(-STEPS // hold)
@@ -335,11 +333,12 @@ def spring(**options):
 
 @pytest.mark.parametrize("compiler", ["cc", "none-such"])
 @pytest.mark.parametrize("h", [0.05, "auto"])
-def test_expressions_are_held(compiler, h, monkeypatch):
+def test_expressions_are_held(compiler, h, request):
     """Leapfrog is exact under a constant force, so that the motion is known in closed form."""
     x, (gain, push) = dal.coordinates("x")[0], sympy.symbols("gain push")
+    if compiler == "none-such":
+        request.getfixturevalue("in_python")
     system = spring()
-    monkeypatch.setenv("CC", compiler)
     varies = h == "auto"
     run = dal.integrate(
         system, h=h, t_end=3.0, inputs={push: -gain * x - x.d / 2}, hold=0.2 if varies else 4
@@ -483,14 +482,18 @@ def test_a_restored_step_size():
         other.step(steps=-1)
 
 
-@pytest.mark.parametrize("h", [0.05, -0.05])
-@pytest.mark.parametrize(("stride", "hold"), [(1, 3), (2, 3), (3, 1), (1, 60)])
-@pytest.mark.parametrize("scheme", ["leapfrog-kl8", "midpoint-kl6", "reference"])
+@pytest.mark.parametrize(
+    ("scheme", "stride", "hold", "h"),
+    [
+        ("leapfrog-kl8", 2, 3, -0.05), ("midpoint-kl6", 1, 3, 0.05), ("midpoint-kl6", 3, 1, 0.05),
+        ("reference", 2, 3, 0.05), ("reference", 3, 1, -0.05), ("reference", 1, 24, 0.05),
+    ],
+)  # fmt: skip
 def test_states_between_stored_ones_are_those_of_the_inputs(scheme, stride, hold, h):
     system = dal.System(mass=[1], force=lambda t, q, v, u: [u[0] - v[0]], inputs=["u"])
-    table = np.resize([10.0, -3.0, 0.0, 10.0, 2.0], 60 // hold)
+    table = np.resize([10.0, -3.0, 0.0, 10.0, 2.0], 24 // hold)
     run = dal.integrate(
-        system, scheme, [0], [0], h=h, steps=60, stride=stride, inputs=table[:, None], hold=hold
+        system, scheme, [0], [0], h=h, steps=24, stride=stride, inputs=table[:, None], hold=hold
     )
 
     def velocity(t):  # v' = u - v
@@ -501,7 +504,7 @@ def test_states_between_stored_ones_are_those_of_the_inputs(scheme, stride, hold
             if (k + 1) * held >= abs(t):
                 return v
 
-    times = np.linspace(0.01, 3, 61) * np.sign(h)
+    times = np.linspace(0.01, 1.2, 25) * np.sign(h)
     exact = [velocity(t) for t in times]
     np.testing.assert_allclose(run(times).v[:, 0], exact, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(run(times[::-1]).v[::-1], run(times).v)  # in any order
@@ -621,22 +624,14 @@ def test_driven_flow_and_controlled_steps():
     how = {"h": "auto", "t_end": HOLD * len(DRIVE), "hold": HOLD, "tolerance": 1e-5, "steps": None}
     run = drive("leapfrog", **how)
     assert abs(run.x[-1] - sled_end()).max() < 1e-5 and run.residual.max() < 16 * U
-    again = run([0.1, HOLD, 0.9])
-    near = drive("bm6", 20)([0.1, HOLD, 0.9])
-    np.testing.assert_allclose(again.v, near.v, atol=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["functions", "nonlinear", "without a compiler"])
-def test_driven_functions(kind, monkeypatch):
+def test_driven_functions(kind, request):
     expected = drive("bm4", 4).x
     if kind == "without a compiler":
-        sled.cache_clear()
-        monkeypatch.setenv("CC", "none-such")
-        with pytest.warns(dal.DalembertWarning, match="no C compiler"):
-            run = drive("bm4", 4)
-        sled.cache_clear()
-    else:
-        run = drive("bm4", 4, kind)
+        request.getfixturevalue("in_python")
+    run = drive("bm4", 4, kind)
     np.testing.assert_allclose(run.x, expected, atol=1e-13)
     assert run.residual.max() <= 16 * U
 
@@ -666,14 +661,13 @@ def test_driven_geometry():
     assert "the constraint with inputs 0" in system.check(q, w).text
 
 
-def moved_cart(**more):
+@functools.cache
+def moved_cart():
     """Two masses 1, the velocity of the first given by an input, in a field of strength 3."""
     x, y = dal.coordinates("x y")
     u = sympy.Symbol("u")
     T = (x.d**2 + y.d**2) / 2
-    return dal.System.from_sympy(
-        T - 3 * x, [x.d - u], inputs=[u], q0=[0, 0], v0=[1, 1], **more
-    )  # fmt: skip
+    return dal.System.from_sympy(T - 3 * x, [x.d - u], inputs=[u], q0=[0, 0], v0=[1, 1])
 
 
 STAIRS = np.array([[1.0], [1.0], [-1.0], [-1.0], [2.0], [2.0]])
@@ -699,7 +693,7 @@ def test_a_prescribed_velocity(stride):
     np.testing.assert_allclose(run.energy, ((run.v**2).sum(axis=1) / 2 + 3 * run.q[:, 0]))
 
 
-def test_a_prescribed_speed():
+def test_a_prescribed_speed(in_python):
     """Not linear in v: the impulse is along the velocity, which keeps its direction."""
     x, y = dal.coordinates("x y")
     u = sympy.Symbol("u")
@@ -715,20 +709,7 @@ def test_a_prescribed_speed():
     np.testing.assert_allclose(run.reactions[:, 0], [0, 0, 4, 0, -2.5 / 6 / 0.25, 0], atol=1e-14)
 
 
-def test_a_wheel_that_turns_its_carrier():
-    """The momentum of both is kept in a jump, which is one in the metric of the mass."""
-    x, y = dal.coordinates("x y")
-    u = sympy.Symbol("u")
-    T = 3 * x.d**2 / 2 + (x.d + y.d) ** 2 / 2
-    system = dal.System.from_sympy(T, [y.d - u], inputs=[u], q0=[0, 0], v0=[0.5, 1])
-    stairs = np.vstack([STAIRS, [[1.0]]])  # back to the first
-    run = dal.integrate(system, "midpoint", h=0.5, steps=14, inputs=stairs, hold=2)
-    carrier = (4 * 0.5 + 1 - stairs[:, 0]) / 4
-    np.testing.assert_allclose(run.q[2::2, 0], np.cumsum(carrier), atol=1e-14)
-    np.testing.assert_allclose(run.v[2::2, 0], carrier, atol=1e-14)
-
-
-def test_a_driven_sleigh():
+def test_a_driven_sleigh(in_python):
     """A mass that depends on q: ahead a w^2 is the acceleration while the rate is w."""
     x, y, theta = dal.coordinates("x y theta")
     w, a, s, c = sympy.Symbol("w"), sympy.Rational(2, 5), sympy.sin(theta), sympy.cos(theta)
@@ -849,9 +830,9 @@ def test_states_between_jumps():
         x = found.y[:, -1]
 
 
-@pytest.mark.parametrize("t0", [0, 1.7, 100, -3.3])
+@pytest.mark.parametrize("t0", [0, 1.7, -3.3])
 @pytest.mark.parametrize("ahead", [1, -1])
-def test_rows_where_inputs_change_have_those_of_the_step_that_ended(t0, ahead):
+def test_rows_where_inputs_change_have_those_of_the_step_that_ended(t0, ahead, in_python):
     """However t0 + k hold is rounded: else the residual is the change of the input."""
     x, steer = dal.coordinates("x steer")
     rate = sympy.Symbol("rate")
@@ -906,7 +887,7 @@ def test_ensembles_of_driven_members():
             np.testing.assert_array_equal(many.reactions[k], one.reactions)
 
 
-def test_multipliers_of_members_with_a_law():
+def test_multipliers_of_members_with_a_law(in_python):
     """Multipliers at a row belong to the inputs that begin there, also if a law computes them."""
     x, y = dal.coordinates("x y")
     push = sympy.Symbol("push")
@@ -922,7 +903,7 @@ def test_multipliers_of_members_with_a_law():
     np.testing.assert_allclose(many.multipliers[..., 0], held / 2, atol=1e-15)
 
 
-def test_a_turned_blade():
+def test_a_turned_blade(in_python):
     """An input in mu: D turns, and each jump leaves the part of the velocity along the blade."""
     x, y, theta = dal.coordinates("x y theta")
     angle = sympy.Symbol("angle")
@@ -979,7 +960,7 @@ def test_refused_driven_runs(how, text):
 
 
 @pytest.mark.parametrize("events", [(), [lambda t, q, v: q[0] - 99]])
-def test_a_jump_that_fails(events):
+def test_a_jump_that_fails(events, in_python):
     x, y = dal.coordinates("x y")
     u = sympy.Symbol("u")
     system = dal.System.from_sympy(
@@ -992,7 +973,7 @@ def test_a_jump_that_fails(events):
     np.testing.assert_array_equal(error.value.partial.q[:, 0], [0, 1, 2])
 
 
-def test_refused_driven_systems():
+def test_refused_driven_systems(in_python):
     x, y = dal.coordinates("x y")
     u = sympy.Symbol("u")
     fast = dal.System.from_sympy(x.d**2 + y.d**2 + x.d**4, [x.d - u * y.d], inputs=[u])

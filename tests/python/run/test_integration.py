@@ -442,7 +442,7 @@ def test_data_in_D_to_1e_8_are_corrected(particle):
 
 
 @pytest.mark.parametrize(("heading", "told"), [(1e12, False), (1e14, True), (1e300, True)])
-def test_a_heading_that_doubles_do_not_resolve_is_told(heading, told):
+def test_a_heading_that_doubles_do_not_resolve_is_told(heading, told, in_python):
     x, y, theta = dal.coordinates("x y theta")
     blade = dal.System.from_sympy(
         (x.d**2 + y.d**2 + theta.d**2) / 2, [sp.sin(theta) * x.d - sp.cos(theta) * y.d]
@@ -501,8 +501,7 @@ def test_arrays_are_views_of_one_buffer(particle):
 
 @pytest.mark.parametrize("option", ["observer", "progress", "inputs"])
 def test_a_domain_error_of_what_may_stop_a_run_is_its_own(option):
-    (x,), u = dal.coordinates("x"), sp.Symbol("u")
-    system = dal.System.from_sympy(x.d**2 / 2, force={x: u}, inputs=[u], q0=[0], v0=[1])
+    system = dal.System(mass=[1], force=lambda t, q, v, u: u, inputs=1, q0=[0], v0=[1])
 
     def refuse(*given):
         raise dal.DomainError("outside of the table")
@@ -541,15 +540,6 @@ def test_pickle_of_a_solution(own):
     np.testing.assert_array_equal(again.x, run.x)
     np.testing.assert_array_equal(again.energy, run.energy)
     assert again.stats == run.stats and again.scheme == run.scheme
-
-
-def test_to_xarray(own):
-    run = dal.integrate(own.system(), "midpoint", h=H, steps=5, stride=5)
-    data = run.to_xarray()
-    np.testing.assert_array_equal(data.q.sel(coordinate="q2"), run.q[:, 2])
-    np.testing.assert_array_equal(data.multipliers, run.multipliers)
-    np.testing.assert_array_equal(data.interval, [2.5 * H])
-    assert data.attrs["scheme"] == "midpoint" and data.attrs["h"] == H
 
 
 def test_a_missing_extra_says_the_line_to_type(particle, monkeypatch):
@@ -741,12 +731,12 @@ def test_progress_between_two_stored_states(particle):
 def test_progress_of_the_reference_flow_between_two_stored_states():
     seen = []
     dal.integrate(
-        dal.systems.particle_oscillator(), "reference", h=0.01, steps=3 * 10**6, stride=3 * 10**6,
+        dal.systems.particle_oscillator(), "reference", h=0.01, steps=10**6, stride=10**6,
         progress=lambda done, total: seen.append((done, total)),
     )  # fmt: skip
     done = [count for count, _ in seen]
-    assert done == sorted(set(done)) and seen[-1] == (3 * 10**6, 3 * 10**6)
-    assert sum(0 < count < 3 * 10**6 for count in done) >= 2  # 1 s of work, asked every 0.05 s
+    assert done == sorted(set(done)) and seen[-1] == (10**6, 10**6)
+    assert sum(0 < count < 10**6 for count in done) >= 2  # 0.3 s of work, asked every 0.05 s
 
 
 def test_progress_as_a_bar(particle, capsys):

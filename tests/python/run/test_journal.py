@@ -55,11 +55,11 @@ TURN = dal.Event(lambda t, q, v: np.sin(3 * q[2]))
 LATE = dal.Event(lambda t, q, v: t - 1.87, terminal=True)
 TABLE = np.random.default_rng(1).normal(size=(20, 2))
 
-AUTO = {"h": "auto", "t_end": 3.0, "steps": None, "tolerance": 1e-6}
+AUTO = {"h": "auto", "t_end": 3.0, "steps": None, "tolerance": 1e-5}
 CASES = {
     "built in": (dal.systems.sleigh, "leapfrog-kl6", {"stride": 2}, {}),
     "of SymPy": (sleigh, "midpoint", {}, {}),
-    "table": (cart, "midpoint-suzuki4", {"hold": 3, "stride": 4}, {"inputs": TABLE}),
+    "table": (cart, "leapfrog", {"hold": 3, "stride": 4}, {"inputs": TABLE}),
     "controller and events": (cart, "leapfrog", {}, {"inputs": control, "events": [WALL, TURN]}),
     "terminal": (
         cart, "midpoint", {"hold": 7, "stride": 3}, {"inputs": control, "events": [WALL, LATE]}
@@ -77,7 +77,7 @@ CASES = {
     "pair": (dal.systems.disk, dal.Scheme.pair(0.25, 0.5), {}, {}),
     "reference": (dal.systems.sleigh, "reference", {"tolerance": 1e-9, "stride": 10}, {}),
     "error-controlled": (
-        cart, "leapfrog-kl6", {**AUTO, "hold": 0.21, "stride": 3, "h_max": 0.3},
+        cart, "bm4", {**AUTO, "hold": 0.21, "stride": 3, "h_max": 0.3},
         {"inputs": control, "events": [WALL, TURN]},
     ),
     "error-controlled, table": (
@@ -223,7 +223,7 @@ def test_an_end_before_the_first_output_time(tmp_path):
     np.testing.assert_allclose(some.q[:, 0], [3.2, 3.5, 4.0])
     assert_same(dal.load(path, point), run)
     assert_same(dal.resume(path, point, events=[end]), run)
-    for suffix in (".npz", ".nc", ".csv"):
+    for suffix in (".npz", ".csv"):
         run.save(tmp_path / f"run{suffix}")
     assert_same(dal.load(tmp_path / "run.npz", point), run)
 
@@ -252,7 +252,7 @@ def test_an_exception_within_a_composed_step(tmp_path):
         force=pushed,
     )  # fmt: skip
     whole = dal.integrate(system, "leapfrog-suzuki4", h=0.1, steps=40)
-    for k, at in enumerate(np.linspace(0.05, 3.5, 8)):
+    for k, at in enumerate((0.05, 1.53, 3.5)):
         path, limit[0] = tmp_path / f"{k}.dal", at
         with pytest.raises(KeyError):
             dal.integrate(system, "leapfrog-suzuki4", h=0.1, steps=40, journal=path)
@@ -359,7 +359,7 @@ def test_kills(tmp_path, monkeypatch, kind):
     whole = dal.integrate(system, scheme, **options, **functions)
     given = {"system": given_system(system), **functions}
     random.seed(7)
-    for k in range(8):
+    for k in range(3):
         path = tmp_path / f"{k}.dal"
         first, second = sorted(random.uniform(0, 0.5) * options["steps"] for _ in range(2))
         calls = [
@@ -455,7 +455,7 @@ def test_a_controller_that_is_another(tmp_path):
     assert_same(dal.resume(path, cart(), inputs=control), whole)
 
 
-def test_expressions_of_inputs_are_compared(tmp_path):
+def test_expressions_of_inputs_are_compared(tmp_path, in_python):
     x, push = dal.coordinates("x")[0], sympy.Symbol("push")
     mass = dal.System.from_sympy(x.d**2 / 2, force={x: push}, inputs=[push], q0=[1], v0=[0])
     path, law = tmp_path / "run.dal", {push: -x - x.d / 3}

@@ -240,17 +240,6 @@ def test_a_controller_is_asked_at_its_times(cart):
 # ---- files, watchers, failures -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", [".npz", ".nc"])
-def test_files(tmp_path, ending, cart):
-    run = dal.integrate(cart, h="auto", t_end=1.0, inputs=[[1.0], [2.0]], hold=0.5)
-    run.save(tmp_path / f"run{ending}")
-    found = dal.load(tmp_path / f"run{ending}", cart)
-    np.testing.assert_array_equal(found.t, run.t)
-    np.testing.assert_array_equal(found.x, run.x)
-    assert found.control == run.control and found.hold == run.hold
-    assert (found(0.77).q == run(0.77).q).all()
-
-
 def test_a_journal_goes_on_to_another_end(tmp_path):
     path = tmp_path / "run.dal"
     edge = dal.systems.knife_edge()
@@ -335,9 +324,9 @@ def drift_of(energy, run):
 @pytest.mark.parametrize("offset", [0, 10**11])
 def test_the_energy_decides_whether_reversible_steps_are_warned_of(offset):
     # with an offset the roundoff of run.energy is 4e-6 of the kinetic energy
-    x = dal.coordinates("x y")[0]
+    x, c = dal.coordinates("x")[0], sympy.Symbol("c")
     system = dal.System.from_sympy(
-        x.d**2 / 2 - (1 - sympy.cos(x)) ** 2 - offset, coordinates=[x], q0=[1e-3], v0=[2.82]
+        x.d**2 / 2 - (1 - sympy.cos(x)) ** 2 - c, q0=[1e-3], v0=[2.82], parameters={c: offset}
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")

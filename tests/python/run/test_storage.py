@@ -10,13 +10,20 @@ import dalembert as dal
 from test_journal import CASES, assert_same, given_system
 
 
-@pytest.fixture(params=CASES)
+@pytest.fixture
 def run(request):
     make, scheme, options, functions = CASES[request.param]
     return dal.integrate(make(), scheme, **{"h": 0.05, "steps": 60, **options}, **functions)
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".nc"])
+IN_NETCDF = {"table", "controller and events", "output times and inputs", "error-controlled"}
+
+
+@pytest.mark.parametrize(
+    ("run", "suffix"),
+    [*((name, ".npz") for name in CASES), *((name, ".nc") for name in CASES if name in IN_NETCDF)],
+    indirect=["run"],
+)
 def test_what_is_saved_is_loaded(run, tmp_path, suffix):
     path = tmp_path / f"run{suffix}"
     run.save(path)
@@ -115,8 +122,26 @@ def test_xarray_units():
     assert data.unit.sel(coordinate="y").item() == ""
     assert "coordinates" in data.q.attrs["long_name"]
     np.testing.assert_array_equal(data.inputs.sel(input="turn"), run.inputs[:, 1])
+    np.testing.assert_array_equal(data.q.sel(coordinate="y"), run.q[:, 1])
+    np.testing.assert_array_equal(data.multipliers, run.multipliers)
+    np.testing.assert_array_equal(data.interval, (run.t[1:] + run.t[:-1]) / 2)
+    assert data.attrs["scheme"] == scheme and data.attrs["h"] == 0.05
     with pytest.raises(ValueError, match="units: 'z' is unknown; expected some of x, y, theta"):
         run.to_xarray(units={"z": "m"})
+
+
+def test_units_of_the_system(tmp_path):
+    units = {"x": "m", "y": "m", "theta": "rad", "t": "s", "energy": "J"}
+    run = dal.integrate(dal.systems.sleigh().with_units(**units), h=0.1, steps=5)
+    run.save(tmp_path / "run.nc")
+    assert dal.load(tmp_path / "run.nc").system.units == units
+    data = run.to_xarray()
+    assert data.time.attrs["units"] == "s" and data.energy.attrs["units"] == "J"
+    assert data.unit.values.tolist() == ["m", "m", "rad"]
+    other = run.to_xarray(units={"x": "mm"})
+    assert other.unit.values.tolist() == ["mm", "m", "rad"] and other.time.attrs["units"] == "s"
+    bare = dal.integrate(dal.systems.sleigh(), h=0.05, steps=10).to_xarray()
+    assert "units" not in bare.energy.attrs and bare.time.attrs["units"] == ""
 
 
 def test_numpy_writes_a_run(tmp_path):
@@ -161,7 +186,7 @@ def test_flipped_bytes_are_no_wrong_states(tmp_path):
     run.save(path)
     content = path.read_bytes()
     loaded = 0
-    for k in range(0, len(content), 7):
+    for k in range(0, len(content), 83):
         path.write_bytes(content[:k] + bytes([content[k] ^ 16]) + content[k + 1 :])
         try:
             found = dal.load(path)
@@ -170,4 +195,4 @@ def test_flipped_bytes_are_no_wrong_states(tmp_path):
         loaded += 1
         np.testing.assert_array_equal(found.x, run.x)
         np.testing.assert_array_equal(found.reactions, run.reactions)
-    assert loaded < len(content) / 7
+    assert loaded < len(content) / 83

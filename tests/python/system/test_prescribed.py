@@ -154,7 +154,7 @@ def test_a_chart_has_no_velocity_left():
     np.testing.assert_allclose(chart.step(Q0, 0.1, t=0.2)[0], run.q[-1], rtol=1e-14)
 
 
-def test_what_the_check_says():
+def test_what_the_check_says(in_python):
     found = Led.system.check(Q0, Led.velocity(0, Q0))
     assert found and found.rank == 2 and found.kernel_min == np.inf
     assert found.text.endswith("one for each coordinate: they prescribe the velocity")
@@ -179,7 +179,7 @@ def weighed():
 
 
 @pytest.mark.parametrize("scheme", ["leapfrog", "midpoint", "leapfrog-kl6", "bm4", "reference"])
-def test_rest(scheme):
+def test_rest(scheme, in_python):
     """mu v = 0 leaves v = 0, whatever weighs on it; the multipliers carry that."""
     run = dal.integrate(weighed(), scheme, h=0.1, t_end=1)
     assert not run.v.any() and (run.q == Q0).all()
@@ -187,7 +187,7 @@ def test_rest(scheme):
     np.testing.assert_allclose(run.multipliers, [np.linalg.solve(np.transpose(mu), [9.81, 3])] * 11)
 
 
-def test_nonlinear():
+def test_nonlinear(in_python):
     """x'^2 + y'^2 = 4 and x' y' = 1: two of the four velocities, by where v0 is."""
     both = dal.System.from_sympy((X.d**2 + Y.d**2) / 2 - X, [X.d**2 + Y.d**2 - 4, X.d * Y.d - 1])
     low, high = (np.sqrt(2 + s * np.sqrt(3)) for s in (-1, 1))
@@ -214,7 +214,7 @@ def test_functions_in_python():
     np.testing.assert_allclose(run.multipliers[:, 0], 2 * run.q[:, 0], rtol=1e-13)
 
 
-def test_sympy_mechanics():
+def test_sympy_mechanics(in_python):
     from sympy.physics import mechanics
 
     q, u = mechanics.dynamicsymbols("q u")

@@ -52,8 +52,10 @@ def residual_of(mu, inverse, v, phi=None):
 
 
 @pytest.mark.parametrize("ring", [False, True])
-@pytest.mark.parametrize("mass", ["unit", "diagonal", "full"])
-@pytest.mark.parametrize("m, seed", [(12, None), (20, 0), (20, 7), (50, 1), (200, 2)])
+@pytest.mark.parametrize(
+    "m, seed, mass",
+    [(12, None, "unit"), (20, 0, "full"), (50, 1, "diagonal"), (50, 1, "full"), (200, 2, "unit")],
+)
 def test_coupled_constraints(m, seed, mass, ring):
     """Lambda, the projection and a step against a dense solve, for conditions below 100."""
     B = coupled(m, ring, seed)
@@ -223,8 +225,8 @@ def test_a_form_of_one_coordinate():
         q0=[0.3, 0.2, 0.5, -0.1],
         v0=[0.7, -0.3, 0, 0.14],
     )
-    assert dal.integrate(system, "reference", h=0.1, t_end=20).success
-    run = dal.integrate(system, "midpoint", h=0.01, t_end=20)
+    assert dal.integrate(system, "reference", h=0.1, t_end=5).success
+    run = dal.integrate(system, "midpoint", h=0.01, t_end=5)
     inverse = np.linalg.inv(M)
     for q, v in zip(run.q, run.v):
         mu = np.array([[0, 0, 1, 0], [-q[1], 0, 0, 1]])
@@ -234,7 +236,7 @@ def test_a_form_of_one_coordinate():
 
 
 @pytest.mark.parametrize("scheme", ["leapfrog", "explicit", "midpoint", "leapfrog-kl6"])
-def test_from_rest(scheme):
+def test_from_rest(scheme, in_python):
     """A robot that its wheels turn on the spot, and one that a force holds against its blade."""
     x, y, th, right, left = dal.coordinates("x y theta phi_r phi_l")
     u = sp.cos(th) * x.d + sp.sin(th) * y.d
@@ -266,7 +268,7 @@ def test_from_rest(scheme):
 @pytest.mark.parametrize("name", ["steered_car", "roller_racer"])
 def test_the_worst_is_what_is_stored(name):
     system = dal.systems.get(name)
-    run = dal.integrate(system, "leapfrog", h=0.02, steps=20000)
+    run = dal.integrate(system, "leapfrog", h=0.02, steps=5000)
     assert run.residual.max() <= run.stats.worst_residual <= 4 * system.n * U
 
 
@@ -302,7 +304,7 @@ def test_a_false_declaration_is_found_out():
 
 
 @pytest.mark.parametrize("scheme", ["midpoint-nodes", "explicit-nodes"])
-@pytest.mark.parametrize("far, h", [(1, 0.2), (100, 0.1), (1e4, 0.1), (1e7, 0.01)])
+@pytest.mark.parametrize("far, h", [(1, 0.2), (1e4, 0.1), (1e7, 0.01)])
 @pytest.mark.parametrize("force", [False, True])
 def test_kept_nodes_where_they_give_q_back(scheme, far, h, force):
     """The state that is measured is the one that a reader computes from what is stored."""
@@ -312,7 +314,7 @@ def test_kept_nodes_where_they_give_q_back(scheme, far, h, force):
     )
     start = [far, -far, far], [1, 0.2, 3.0]
     run = dal.integrate(
-        system, scheme, *start, h=h, steps=100, consistent="project", initial="project"
+        system, scheme, *start, h=h, steps=40, consistent="project", initial="project"
     )
     inverse = np.diag([1, 1, 2.0])
     told = 0.0
@@ -337,8 +339,13 @@ def told(system, scheme, h, steps):
     return any(word in str(one.message) for word in words for one in heard), run
 
 
-@pytest.mark.parametrize("name", ["heisenberg", "chaotic", "sleigh", "rolling_disc", "snakeboard"])
-@pytest.mark.parametrize("scheme", ["leapfrog", "midpoint", "midpoint-kl8"])
+@pytest.mark.parametrize(
+    "name, scheme",
+    [
+        ("heisenberg", "leapfrog"), ("snakeboard", "leapfrog"), ("sleigh", "leapfrog"),
+        ("chaotic", "midpoint"), ("rolling_disc", "midpoint"), ("sleigh", "midpoint-kl8"),
+    ],
+)  # fmt: skip
 def test_growing_steps(name, scheme):
     """The step doubles until it fails: an energy that is lost or explodes is never silent."""
     system = dal.systems.get(name)
@@ -398,7 +405,7 @@ def words_of(make):
     return text.split(": ")[-1]
 
 
-def test_rows_that_depend_are_named():
+def test_rows_that_depend_are_named(in_python):
     """In every message about the rank; coefficients as they are in the formulas."""
     x, y, z, w, psi = dal.coordinates("x y z w psi")
     c, s = sp.cos(psi), sp.sin(psi)
@@ -451,7 +458,7 @@ def test_rows_that_depend_on_the_way():
         assert "constraints[1] equals constraints[0] here" in run.message, run.message
 
 
-def test_rows_that_vanish_on_the_way_are_named():
+def test_rows_that_vanish_on_the_way_are_named(in_python):
     """The second of two constraints vanishes at x = 0, between a node and the end of a step."""
     x, y, z, w = dal.coordinates("x y z w")
     rows = [w.d - 2 * z.d, x * (x.d + y.d)]

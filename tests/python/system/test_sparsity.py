@@ -103,14 +103,19 @@ class Skates:
         return np.concatenate([v, inverse * (f + mu.T @ multipliers)])
 
 
-@pytest.mark.parametrize("scheme", ["leapfrog", "midpoint", "midpoint-nodes", "explicit", "0.3"])
-@pytest.mark.parametrize(("coupling", "stiffness"), [(0.4, 0.7), (0, 0.7), (0.4, 0), (0, 0)])
+@pytest.mark.parametrize(
+    ("scheme", "coupling", "stiffness"),
+    [
+        *((x, 0.4, 0.7) for x in ("leapfrog", "midpoint", "midpoint-nodes", "explicit", "0.3")),
+        *(("midpoint", *x) for x in ((0, 0.7), (0.4, 0), (0, 0))),
+    ],
+)
 def test_same_runs(scheme, coupling, stiffness):
     skates = Skates(7, coupling, stiffness)
     dense, sparse = skates.systems()
     start = skates.start(dense)
     initial = {"initial": "project"} if "nodes" in scheme else {}
-    runs = [dal.integrate(s, scheme, *start, h=0.03, steps=60, **initial) for s in (dense, sparse)]
+    runs = [dal.integrate(s, scheme, *start, h=0.03, steps=30, **initial) for s in (dense, sparse)]
     for key in ("q", "v", "multipliers", "energy", "residual"):
         one, other = (getattr(run, key) for run in runs)
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-11, err_msg=key)
@@ -121,12 +126,12 @@ def test_against_the_reduced_equations():
     skates = Skates(6)
     sparse = skates.systems()[1]
     q0, v0 = skates.start(sparse)
-    run = dal.integrate(sparse, "midpoint-kl8", q0, v0, h=0.05, t_end=2)
+    run = dal.integrate(sparse, "midpoint-kl8", q0, v0, h=0.05, t_end=0.5)
     exact = solve_ivp(
-        skates.reduced, (0, 2), np.concatenate([q0, v0]), "DOP853", rtol=1e-13, atol=1e-13
+        skates.reduced, (0, 0.5), np.concatenate([q0, v0]), "DOP853", rtol=1e-13, atol=1e-13
     ).y[:, -1]
     np.testing.assert_allclose(np.concatenate([run.q[-1], run.v[-1]]), exact, rtol=0, atol=1e-9)
-    flow = dal.integrate(sparse, "reference", q0, v0, h=1, t_end=2)
+    flow = dal.integrate(sparse, "reference", q0, v0, h=0.25, t_end=0.5)
     np.testing.assert_allclose(np.concatenate([flow.q[-1], flow.v[-1]]), exact, atol=1e-10)
 
 
@@ -208,18 +213,19 @@ def test_forces_of_velocity():
         dal.integrate(stiff, "midpoint", *start, h=0.1, steps=20)
 
 
-def test_expressions_with_friction():
+def test_expressions_with_friction(request):
     """More than 8 coordinates: by rows; where steps do not contract the derivatives serve."""
-    count = 4
+    count = 3
     q = dal.coordinates(" ".join(f"x{i} y{i} a{i}" for i in range(count)))
     x, y, a = q[::3], q[1::3], q[2::3]
     L = sum(c.d**2 for c in q) / 2 - sum((x[i + 1] - x[i] - 1) ** 2 for i in range(count - 1))
     rows = [-sympy.sin(a[i]) * x[i].d + sympy.cos(a[i]) * y[i].d for i in range(count)]
     friction = {c: -100 * c.d for c in q}
     system = dal.System.from_sympy(L, rows, q, force=friction)
-    dense = dal.System.from_sympy(L + q[0].d * q[1].d * 1e-200, rows, q, force=friction)
+    request.getfixturevalue("in_python")
+    dense = dal.System.from_sympy(L, rows, q, force=friction)
     assert system.sparsity is not None and dense.sparsity is None
-    start = np.arange(12) * 0.4, system.consistent(np.arange(12) * 0.4, np.cos(np.arange(12)))
+    start = np.arange(9) * 0.4, system.consistent(np.arange(9) * 0.4, np.cos(np.arange(9)))
     runs = [dal.integrate(s, "midpoint", *start, h=0.1, steps=20) for s in (system, dense)]
     np.testing.assert_allclose(runs[0].v, runs[1].v, rtol=0, atol=1e-12)
     assert runs[0].stats.full_newtons > 10
@@ -231,7 +237,8 @@ def test_the_rest_of_the_library():
     q, v = skates.start(dense)
     checks = [s.check(q, v) for s in (dense, sparse)]
     assert [str(c) for c in checks][0] == str(checks[1])
-    studies = [dal.convergence(s, "midpoint", q0=q, v0=v, t_end=0.4) for s in (dense, sparse)]
+    given = {"q0": q, "v0": v, "t_end": 0.4, "steps": (6, 9, 12)}
+    studies = [dal.convergence(s, "midpoint", **given) for s in (dense, sparse)]
     errors = [study.state_error for study in studies]
     np.testing.assert_allclose(errors[0], errors[1], rtol=1e-6, atol=1e-13)
     assert studies[0].verdict == studies[1].verdict
