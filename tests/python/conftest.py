@@ -154,6 +154,27 @@ def particle():
     return dal.systems.particle()
 
 
+def refused(cases, kind=ValueError):
+    """Check that each call of (call, words) raises an error with these words."""
+    for number, (call, words) in enumerate(cases):
+        with pytest.raises(kind, match=words):
+            call()
+            pytest.fail(f"case {number}: {words}")
+
+
+def runge_kutta(field, x, t_end, count):
+    """Solve x' = field(t, x) from t = 0 by the classical method of order 4."""
+    h = t_end / count
+    for k in range(count):
+        t = k * h
+        k1 = field(t, x)
+        k2 = field(t + h / 2, x + h / 2 * k1)
+        k3 = field(t + h / 2, x + h / 2 * k2)
+        k4 = field(t + h, x + h * k3)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
 @pytest.fixture
 def no_windows(monkeypatch):
     """Nothing is shown, and no figure is left open."""

@@ -209,12 +209,6 @@ def test_files_are_tried_before_the_work_begins(arguments, message, run, tmp_pat
     assert (tmp_path / "file").read_text() == "here before"
 
 
-def test_a_full_disk_is_named(capsys):
-    arguments = ["study", "particle", "--scheme", "explicit", "--no-report", "--json", "/dev/full"]
-    assert cli.main(arguments) == 1
-    assert "dalembert study: /dev/full: No space left on device" in capsys.readouterr().err
-
-
 def test_warnings_and_failures_are_lines_without_tracebacks(monkeypatch, capsys):
     def doubtful(*given, **options):
         warnings.warn("this is doubtful", dal.DalembertWarning, stacklevel=2)

@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -228,12 +229,8 @@ def test_eight_processes_at_once(cache, tmp_path, monkeypatch):
 
 
 def test_many_threads_at_once(cache):
-    found = []
-    threads = [threading.Thread(target=lambda: found.append(energy(slide()))) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(8) as pool:
+        found = [*pool.map(lambda _: energy(slide()), range(8))]
     assert found == [pytest.approx(EXPECTED, rel=1e-15)] * 8
 
 

@@ -6,6 +6,7 @@ import pickle
 import signal
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -183,17 +184,12 @@ def test_parameters_and_units_are_those_of_the_system():
 
 
 def test_threads():
-    system, found = dal.systems.cvt(), {}
+    def work(system):
+        return dal.integrate(system, "reference", h=0.1, t_end=20, method="taylor").x
 
-    def work(k):
-        found[k] = dal.integrate(system, "reference", h=0.1, t_end=20, method="taylor").x
-
-    threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(found) == 4 and all((found[k] == found[0]).all() for k in found)
+    with ThreadPoolExecutor(4) as pool:
+        one, *others = pool.map(work, [dal.systems.cvt()] * 4)
+    assert all((one == x).all() for x in others)
 
 
 def test_times_and_observers():

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import refused
 from matplotlib import pyplot
 from matplotlib.colors import to_hex, to_rgb
 
@@ -347,33 +348,28 @@ def test_styles_of_the_caller_are_used(studies):
 
 
 def test_bad_arguments_are_named(studies, run):
-    with pytest.raises(ValueError, match="quantity = 'p': expected one of state, q, v"):
-        dal.plot.convergence(studies, quantity="p")
-    with pytest.raises(ValueError, match="study is empty"):
-        dal.plot.convergence([])
-    with pytest.raises(ValueError, match="solution is empty"):
-        dal.plot.energy([])
-    with pytest.raises(ValueError, match=r"coordinates = \(0, 3\): expected two of 0 to 2"):
-        dal.plot.path(run, coordinates=(0, 3))
-    for pair in ((0, -1), (0,), (0, 1, 2), ("x", "y"), (0, 1.5), 5, None):
-        with pytest.raises(ValueError, match=r"coordinates = .*: expected two of 0 to 2"):
-            dal.plot.path(run, coordinates=pair)
-    with pytest.raises(ValueError, match="ax has 3 axes: expected two"):
-        dal.plot.drift(run, pyplot.subplots(1, 3)[1])
-    for draw in (dal.plot.energy, dal.plot.path, lambda run, ax: dal.plot.drift(run, [5, ax])):
-        with pytest.raises(ValueError, match=r"ax is a (list|int); expected a matplotlib\.Axes"):
-            draw(run, [])
-    with pytest.raises(ValueError, match="ax is a int; expected a matplotlib.Axes"):
-        studies.plot(5)
-    with pytest.raises(ValueError, match="study is a Solution; expected a dalembert.Study or sev"):
-        dal.plot.convergence(run)
-    for draw in (dal.plot.energy, dal.plot.drift):
-        with pytest.raises(ValueError, match="solution is a str; expected a dalembert.Solution or"):
-            draw("x")
-        with pytest.raises(ValueError, match="solution is a Study; expected a dalembert.Solution"):
-            draw([run, studies[0]])
-    with pytest.raises(ValueError, match="solution is a list; expected a dalembert.Solution$"):
-        dal.plot.path([run])
+    draw, (first, *_) = dal.plot, studies
+    no_axes = r"ax is a (list|int); expected a matplotlib\.Axes"
+    refused([
+        (lambda: draw.convergence(studies, quantity="p"), "quantity = 'p': expected one of state"),
+        (lambda: draw.convergence([]), "study is empty"),
+        (lambda: draw.energy([]), "solution is empty"),
+        (lambda: draw.drift(run, pyplot.subplots(1, 3)[1]), "ax has 3 axes: expected two"),
+        (lambda: draw.energy(run, []), no_axes),
+        (lambda: draw.path(run, []), no_axes),
+        (lambda: draw.drift(run, [5, []]), no_axes),
+        (lambda: studies.plot(5), no_axes),
+        (lambda: draw.convergence(run), "study is a Solution; expected a dalembert.Study or sev"),
+        (lambda: draw.path([run]), "solution is a list; expected a dalembert.Solution$"),
+        (lambda: draw.energy("x"), "solution is a str; expected a dalembert.Solution or"),
+        (lambda: draw.drift("x"), "solution is a str; expected a dalembert.Solution or"),
+        (lambda: draw.energy([run, first]), "solution is a Study; expected a dalembert.Solution"),
+        (lambda: draw.drift([run, first]), "solution is a Study; expected a dalembert.Solution"),
+        *(
+            (lambda x=x: draw.path(run, coordinates=x), "coordinates = .*: expected two of 0 to 2")
+            for x in ((0, 3), (0, -1), (0,), (0, 1, 2), ("x", "y"), (0, 1.5), 5, None)
+        ),
+    ])  # fmt: skip
 
 
 def test_without_matplotlib_the_line_to_type_is_said(studies, run, monkeypatch, tmp_path):

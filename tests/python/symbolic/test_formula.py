@@ -5,12 +5,11 @@ from __future__ import annotations
 import html
 import re
 import sys
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 import sympy
-from conftest import U
+from conftest import Page, U
 
 import dalembert as dal
 from dalembert import growth
@@ -97,26 +96,6 @@ def test_nothing_is_evaluated():
 # ---- MathML --------------------------------------------------------------------------------------
 
 
-class Words(HTMLParser):
-    """What is read of a page, tags being closed in order."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.text = [], ""
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag, attrs):
-        self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.text += data
-
-
 @pytest.mark.parametrize(
     ("text", "read"),
     [
@@ -140,20 +119,20 @@ class Words(HTMLParser):
 def test_mathml(text, read):
     """All stands in its order, with a dot for a velocity."""
     found = formula.mathml(text, ["x", "y1", "y2", "theta0"])
-    assert "".join(Words(found).text.split()) == read
+    assert "".join(Page(found).words.split()) == read
 
 
 def test_fractions_and_roots_lose_their_brackets():
     assert formula.latex("(a + b)/(c (d))") == [r"\frac{a + b}{c\,d}"]
     assert formula.latex("x^(a + b) sqrt(a + b)") == [r"x^{a + b}\,\sqrt{a + b}"]
     found = formula.mathml("(a + b)/2")
-    assert found.count("<mfrac>") == 1 and "(" not in Words(found).text
+    assert found.count("<mfrac>") == 1 and "(" not in Page(found).words
 
 
 def test_lines_may_break_before_a_sign():
     """A formula is a piece for each of its terms, with the sign that stands before it."""
     found = re.findall("<math.*?</math>", formula.mathml("L = -a x^2 + (b + c)/2 - d"))
-    assert [Words(x).text for x in found] == ["L", "=−ax2", "+b+c2", "−d"]
+    assert [Page(x).words for x in found] == ["L", "=−ax2", "+b+c2", "−d"]
     for piece in found[1:]:  # an operator that is not the first of a row is no prefix
         assert re.match("<math[^>]*><mrow>(<mrow ?/>|<mrow></mrow>)<mo>", piece)
 
