@@ -6,6 +6,7 @@ compared with something computed another way.
 
 import io
 import os
+import signal
 from html.parser import HTMLParser
 
 import numpy as np
@@ -173,6 +174,14 @@ def runge_kutta(field, x, t_end, count):
         k4 = field(t + h, x + h * k3)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return x
+
+
+@pytest.fixture
+def ctrl_c():
+    """SIGINT raises KeyboardInterrupt, also where the tests run in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

@@ -527,6 +527,7 @@ def is_running(child):
     return text.rpartition(")")[2].split()[0] != "Z"
 
 
+@pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.parametrize("end", ["limit", "Ctrl-C"])
 def test_a_compiler_that_hangs(cache, tmp_path, monkeypatch, end):
     """It is killed after a limit, or when the user stops it, with the process that it started."""
@@ -540,17 +541,13 @@ def test_a_compiler_that_hangs(cache, tmp_path, monkeypatch, end):
         with pytest.raises(compiler.CompilerError, match="did not finish in 1 s: .*cc"):
             slide()
     else:
-        before = signal.signal(signal.SIGINT, signal.default_int_handler)
         press = threading.Thread(
             target=lambda: (wait_until(child.exists), os.kill(os.getpid(), signal.SIGINT))
         )
         press.start()
-        try:
-            with pytest.raises(KeyboardInterrupt):
-                slide()
-        finally:
-            press.join()
-            signal.signal(signal.SIGINT, before)
+        with pytest.raises(KeyboardInterrupt):
+            slide()
+        press.join()
     wait_until(lambda: not is_running(child))
     assert child.exists() and not list(place.iterdir())
 

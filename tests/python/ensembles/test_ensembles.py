@@ -530,6 +530,7 @@ def test_sample():
 # ---- stopping ----------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_interrupt_keeps_what_was_made():
     system, K = dal.systems.sleigh(), 2000
 

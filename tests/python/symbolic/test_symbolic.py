@@ -260,7 +260,7 @@ def random_expression(source, symbols, depth):
     ])()  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(24))
 def test_derivatives_are_those_by_each_symbol(seed):
     """Those by the symbols that occur are the same expressions; all others are 0."""
     source, symbols = random.Random(seed), model.canonical("q", 6)
