@@ -137,7 +137,7 @@ def test_a_context_lives_as_long_as_the_system_in_c(library):
     assert alive() is None
 
 
-def test_force_and_lagrangian(library):
+def test_force_and_lagrangian(library, in_python):
     """The four callbacks together, against the same system from expressions."""
     x, y, z = dal.coordinates("x y z")
     T = (x.d**2 + y.d**2 + z.d**2) / 2

@@ -156,12 +156,6 @@ def test_c_runs_without_the_lock_of_the_interpreter(particle):
     assert within < 30  # with the lock held by C there would be one for each of the 60
 
 
-def test_a_system_is_freed_after_its_runs():
-    """A run, and a workspace, keep what they need alive."""
-    x = dal.integrate(dal.systems.particle(), "midpoint", h=H, steps=5).multipliers
-    assert x.shape == (6, 1)
-
-
 def test_a_run_in_another_process():
     """A system goes there as its description, and the same bits come back."""
     sleigh = dal.systems.sleigh(a=0.3)

@@ -111,12 +111,6 @@ def test_regularity(own, pair):
     assert found.condition == pytest.approx(np.linalg.cond(expected), rel=1e-9)
 
 
-def test_singular_step_of_the_particle(particle):
-    discrete = dal.Discrete(particle, 1.0)
-    with pytest.raises(dal.SingularError, match="D1 D2 L_d"):
-        discrete.advance(0.5, [0.5, -1, 0.2], [1, 4, -1])
-
-
 def test_run_is_its_steps(own):
     system, h = own.system(), 0.05
     discrete = dal.Discrete(system, 0.5)
@@ -180,89 +174,6 @@ def test_map_in_python(own, beta, given):
         ours.lagrangian_derivatives(h, *pair), theirs.lagrangian_derivatives(h, *pair)
     ):
         np.testing.assert_allclose(one, two, atol=1e-9 / h)
-
-
-def test_bent_map_keeps_D_and_has_order_two(own):
-    system = own.system()
-    discrete = dal.Discrete(system, dal.DifferenceMap(map=bent, derivatives=bent_derivatives))
-    errors = []
-    for steps in (10, 20):
-        q, v = system.q0, system.v0
-        for _ in range(steps):
-            q, v, _ = discrete.advance(0.5 / steps, q, v)
-            assert own.residual(q, v) <= 4 * 4 * U
-        end = dal.reference(system, t=0.5)
-        errors.append(abs(np.concatenate([q - end.q, v - end.v])).max())
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.15)
-
-
-def test_two_maps(own):
-    system, h = own.system(), 0.05
-    discrete = dal.Discrete(system, 0.5, 0.0)
-    lagrangian, constraint = discrete.maps
-    assert (lagrangian.beta, constraint.beta) == (0.5, 0.0)
-    q, v, _ = discrete.advance(h, system.q0, system.v0)
-    assert own.residual(q, v) <= 4 * 4 * U
-    one, _, _ = dal.Discrete(system, 0.0).advance(h, system.q0, system.v0)
-    assert abs(q - one).max() < 1e-14  # beta = 0: q~' = q_k, which only D_d decides
-    assert abs(v - dal.Discrete(system, 0.0).advance(h, system.q0, system.v0)[1]).max() > 1e-6
-
-
-def test_general_system():
-    """A Lagrangian of the user's own, a force in time, an affine constraint: the scheme's steps."""
-
-    def lagrangian(q, v):
-        return (1 + q[1] ** 2) * v[0] ** 2 / 2 + v[1] ** 2 + v[2] ** 2 / 2 - q[0] ** 2
-
-    system = dal.System(
-        lagrangian=lagrangian,
-        lagrangian_q=lambda q, v: [-2 * q[0], q[1] * v[0] ** 2, 0],
-        lagrangian_v=lambda q, v: [(1 + q[1] ** 2) * v[0], 2 * v[1], v[2]],
-        force=lambda t, q, v: [np.sin(t), 0, -v[2] / 10],
-        forms=lambda q: [[-q[1], 0, 1]],
-        affine=lambda q: [q[0] / 5],
-        q0=[0.3, 0.4, 0.1],
-        v0=[1, 0.5, 0.34],
-    )
-    solution = dal.integrate(system, "midpoint", h=0.05, steps=10, t0=0.3)
-    discrete = dal.Discrete(system, 0.5)
-    q, v = system.q0, system.v0
-    for k in range(10):
-        q, v, multipliers = discrete.advance(0.05, q, v, t=0.3 + 0.05 * k)
-        # L_vv and the like are differenced, which costs Newton's speed only
-        np.testing.assert_allclose(q, solution.q[k + 1], atol=SOLVED)
-        np.testing.assert_allclose(v, solution.v[k + 1], atol=SOLVED)
-        np.testing.assert_allclose(multipliers, solution.reactions[k], atol=SOLVED / 0.05)
-
-
-def test_without_constraints():
-    system = dal.System(mass=[1, 2], potential=lambda q: q @ q / 2, gradient=lambda q: q)
-    discrete = dal.Discrete(system, 0.5)
-    q, v, multipliers = discrete.advance(0.1, [1, 0], [0, 1])
-    np.testing.assert_allclose(q, [1, 0] + 0.05 * (v + [0, 1]), atol=TOLERANCE)
-    np.testing.assert_allclose([1, 2] * (v - [0, 1]), -0.05 * (q + [1, 0]), atol=TOLERANCE)
-    assert multipliers.shape == (0,)
-    assert discrete.constraint(0.1, [1, 0], [1, 1]).shape == (0,)
-    assert discrete.run(0.1, [1, 0], [1, 1], steps=3).multipliers.shape == (3, 0)
-
-
-def test_exact_velocity(own):
-    system, h = own.system(), 0.1
-    end = dal.reference(system, t=h)
-    v0, defect = dal.exact_velocity(system, h, system.q0, end.q)
-    # the tolerance 1e-13 of the flow, over h
-    np.testing.assert_allclose(v0, system.v0, atol=1e-11)
-    np.testing.assert_allclose(defect, 0, atol=1e-11)
-    off = end.q + 1e-3 * own.forms(system.q0)[0]
-    v0, defect = dal.exact_velocity(system, h, system.q0, off)
-    assert abs(defect).max() > 1e-3
-    assert own.residual(system.q0, v0) <= 4 * 4 * U
-    q1 = dal.reference(system, t=h, q0=system.q0, v0=v0).q
-    mu = own.forms(system.q0)
-    np.testing.assert_allclose(mu @ (off - q1) / h, defect, atol=1e-11)
-    miss = own.mass @ (off - q1)
-    kappa = np.linalg.lstsq(mu.T, miss, rcond=None)[0]
-    np.testing.assert_allclose(mu.T @ kappa, miss, atol=1e-11)
 
 
 def test_exact_velocity_at_a_later_time():

@@ -167,23 +167,6 @@ def test_projection(general):
     assert system.relative_residual(q, w).max() <= 16 * 3 * U
 
 
-def test_power_is_what_the_energy_gains(general):
-    """Along the flow, by Gauss's quadrature with 12 nodes over a unit of time."""
-    system, t0 = general.system(), 0.2
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    times = t0 + (nodes + 1) / 2
-    powers, state, before = [], (system.q0, system.v0), t0
-    for t in times:
-        state, before = dal.reference(system, *state[:2], t=t, t0=before), t
-        powers.append(system.power(state.q, state.v, t))
-    gained = np.array(powers).T @ weights / 2
-    end = dal.reference(system, *state[:2], t=t0 + 1, t0=before)
-    change = system.energy(end.q, end.v) - system.energy(system.q0, system.v0)
-    assert abs(change) > 0.1
-    near(gained.sum(), change, 1e-11)
-    assert (abs(gained[0]) > 0.01) == (general.kind != "linear")
-
-
 # ---- the schemes ---------------------------------------------------------------------------
 
 
@@ -198,27 +181,6 @@ def test_one_step(general, beta, h):
         near(run.v[k + 1], v)
         near(run.reactions[k], lam, TOLERANCE / abs(h))
         assert general.residual(run.q[k + 1], run.v[k + 1]) <= 4 * 3 * U
-
-
-@pytest.mark.parametrize("beta", BETAS[:3])
-def test_kept_nodes_keep_the_deformation(general, beta):
-    scheme = dal.Scheme([(beta, 1.0)], nodes="kept")
-    run = dal.integrate(general.system(), scheme, h=0.02, steps=30, initial="project")
-    for q, v in zip(run.q, run.v):
-        assert general.residual(q - (1 - beta) * 0.02 * v, v) <= 4 * 3 * U
-    assert run.residual.max() <= 4 * 3 * U
-
-
-@pytest.mark.parametrize("scheme", ["midpoint", "leapfrog", "leapfrog-mirror"])
-def test_symmetry_on_D(general, scheme):
-    """Back with -h, from the time that was reached; 64 u for each of the 40 steps."""
-    system = general.system()
-    there = dal.integrate(system, scheme, h=0.05, steps=20, t0=0.3)
-    back = dal.integrate(
-        system, scheme, there.q[-1], there.v[-1], h=-0.05, steps=20, t0=there.t[-1]
-    )
-    assert np.max(np.abs(there.x[-1] - there.x[0])) > 0.5
-    np.testing.assert_allclose(back.x[-1], there.x[0], rtol=0.0, atol=40 * 64 * U)
 
 
 # ---- functions of the user -----------------------------------------------------------------
@@ -321,20 +283,6 @@ def test_arrays_are_read_only_and_may_be_kept(kind):
         np.testing.assert_array_equal(array, then)
     whole = dal.integrate(general.system(), "midpoint", h=0.05, steps=3)
     np.testing.assert_array_equal(run.x, whole.x)
-
-
-def test_a_domain_that_ends(general):
-    """A run stops where a force is no longer defined."""
-    outside = dal.DomainError("too fast")
-
-    def force(t, q, v):
-        if t > 0.5:
-            raise outside
-        return general.force(t, q, v)
-
-    with pytest.raises(dal.DomainError) as caught:
-        dal.integrate(general.system(force=force), "midpoint", h=0.0625, steps=20)
-    assert caught.value is outside and caught.value.partial.t[-1] == 0.5
 
 
 # ---- check ---------------------------------------------------------------------------------

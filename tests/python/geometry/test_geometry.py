@@ -65,15 +65,6 @@ def test_multipliers_and_acceleration_off_D(own):
     np.testing.assert_array_equal(system.multipliers(q[2], v[2]), system.multipliers(q, v)[2])
 
 
-def test_differenced_derivatives_agree(own):
-    q, v = several(own)
-    bare = own.system(gradient=None, hessian=None, forms_velocity_derivative=None)
-    # The header promises about 1e-10 relative.
-    np.testing.assert_allclose(
-        bare.multipliers(q, v), own.system().multipliers(q, v), rtol=1e-9, atol=1e-9
-    )
-
-
 def test_project(own):
     q, v = several(own)
     system = own.system()
@@ -109,14 +100,6 @@ def test_consistent_keeps_components(own, keep):
         np.testing.assert_allclose(directions @ difference, 0.0, atol=TOLERANCE)
 
 
-def test_consistent_without_keep_is_the_projection(own):
-    q, v = several(own, 1)
-    system = own.system()
-    np.testing.assert_allclose(
-        system.consistent(q, v), system.project(q, v), rtol=TOLERANCE, atol=TOLERANCE
-    )
-
-
 def test_consistent_with_too_much_kept(own):
     q, v = several(own, 1)
     with pytest.raises(dal.SingularError, match="keep fixes 4 of 4 velocities"):
@@ -148,20 +131,6 @@ def test_consistent_in_many_ways(kind):
     if not curved:
         alone = system.consistent(q[0], v[0], keep=2)
         np.testing.assert_array_equal(alone, system.consistent(q[0], v[0], keep="z"))
-
-
-def test_no_consistent_velocity():
-    """A speed of 2 with a larger component kept; then one that is just possible."""
-    system = dal.System(
-        mass=[1, 1],
-        constraint=lambda q, v: [v @ v - 4],
-        constraint_v=lambda q, v: [2 * v],
-        coordinates=["x", "y"],
-    )
-    with pytest.raises(dal.ConvergenceError, match="1 of 2 components fixed by keep"):
-        system.consistent([0, 0], [3, 1], keep="x")
-    v = system.consistent([0, 0], [1.5, 1], keep="x")
-    np.testing.assert_allclose(v, [1.5, np.sqrt(1.75)], rtol=4 * U)
 
 
 @pytest.mark.parametrize(

@@ -294,14 +294,6 @@ def test_a_domain_away_from_the_unit_cube():
     assert algebra.examine(found, values, near).growth == (2, 3)
 
 
-def test_units_do_not_matter():
-    """A disk of a micrometre, and one of a thousand kilometres."""
-    for R in (1e-6, 1e6):
-        rows = [x.d - R * cos(w) * z.d, y.d - R * sin(w) * z.d]
-        assert examine(rows, [x, y, z, w]).growth == (2, 3, 4)
-        assert examine(rows, [x, y, z, w], [1, 2, 3, 4]).growth == (2, 3, 4)
-
-
 # ---- where mu bends only in places -------------------------------------------------------------
 
 BENT = [
@@ -317,12 +309,6 @@ def test_bent_at_the_state(e, at):
     found = examine([z.d - e * x.d], [x, y, z], [0, at, 0])
     assert found.growth == found.general_growth == (2, 3)
     assert found.integrable is False and found.holonomic == ()
-
-
-def test_bent_at_the_state_beside_another():
-    rows = [z.d - (1 + Max(0, y - 1) ** 2) * x.d, w.d - y * x.d]
-    found = examine(rows, [x, y, z, w], [0, 2, 0, 0])
-    assert found.growth == found.general_growth == (2, 3, 4) and found.holonomic == ()
 
 
 def test_flat_around_the_state():

@@ -60,15 +60,6 @@ def test_pair_of_numbers_with_many_digits(betas):
     assert 1e-12 < abs(near.x - run.x).max() < 1e-7
 
 
-def test_pair_of_equal_maps_is_the_beta_scheme():
-    system = dal.systems.knife_edge()
-    run = dal.integrate(system, dal.Scheme.pair(0.5), h=0.1, steps=50)
-    beta = dal.integrate(system, "midpoint", h=0.1, steps=50)
-    np.testing.assert_allclose(run.x, beta.x, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(run.reactions, beta.reactions, rtol=0, atol=1e-10)
-    assert dal.Scheme.pair(0.5).order == 2 and dal.Scheme.pair(0.5, 0.25).order == 1
-
-
 def test_pair_of_a_map_of_the_users_own(own):
     system, maps = own.system(), (bent(0.3), 0.5)
     run = dal.integrate(system, dal.Scheme.pair(*maps), own.q0, own.v0(), h=0.02, steps=10)

@@ -68,21 +68,6 @@ def table(count, seed=3):
     return np.random.default_rng(seed).normal(size=(count, 2))
 
 
-def solved(inputs, length):
-    """The state and the work of the motors and the brake, each row of inputs for a time."""
-    y = np.array([*START, SPEED, TURN, 0.0])
-    for left, right in inputs:
-        def rates(t, y, left=left, right=right):
-            ahead = left + right - BRAKE * y[3]
-            return [
-                y[3] * np.cos(y[2]), y[3] * np.sin(y[2]), y[4], ahead / M, (right - left) / J,
-                ahead * y[3] + (right - left) * y[4],
-            ]  # fmt: skip
-
-        y = solve_ivp(rates, (0, length), y, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
-    return np.array([*y[:3], y[3] * np.cos(y[2]), y[3] * np.sin(y[2]), y[4]]), y[5]
-
-
 # ---- the system --------------------------------------------------------------------------------
 
 
@@ -184,23 +169,6 @@ def test_refused_values(cart):
 
 
 # ---- runs --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("scheme, order", [("midpoint", 2), ("leapfrog", 2), ("midpoint-kl6", 6)])
-def test_orders(scheme, order):
-    """Full order in the states, and of the energy balance, with inputs that jump."""
-    inputs, cart = table(4), from_sympy()
-    expected, work = solved(inputs, 0.4)
-    errors = []
-    for hold in (3, 6) if order == 6 else (8, 16):
-        run = dal.integrate(cart, scheme, h=0.4 / hold, steps=4 * hold, inputs=inputs, hold=hold)
-        balance = abs(run.energy[-1] - run.energy[0] - work)
-        errors.append([abs(run.x[-1] - expected).max(), balance])
-        assert run.residual.max() <= 4 * 3 * U
-    slopes = np.log2(np.divide(*errors))
-    assert (slopes > order - 0.4).all() and slopes[0] < order + 1
-    reference = dal.integrate(cart, "reference", h=0.1, steps=16, inputs=inputs, hold=4)
-    np.testing.assert_allclose(reference.x[-1], expected, atol=1e-11)
 
 
 @pytest.mark.parametrize("hold, stride", [(1, 1), (5, 2), (40, 1)])

@@ -138,16 +138,6 @@ def test_a_large_coordinate_is_not_the_measure_of_all():
         dal.integrate(SKATE, "reference", [0, 1e31, 0.3], SKATE.v0, **given)
 
 
-@pytest.mark.parametrize("scheme, order", [("leapfrog", 2), ("leapfrog-suzuki4", 4)])
-def test_judges_the_schemes(scheme, order):
-    system = dal.systems.cvt()
-    exact = dal.reference(system, t=2, method="taylor", tolerance=1e-15)
-    errors = [
-        abs(dal.integrate(system, scheme, h=h, t_end=2).q[-1] - exact.q).max() for h in (0.1, 0.05)
-    ]
-    assert abs(np.log2(errors[0] / errors[1]) - order) < 0.3
-
-
 def test_accuracy_of_the_state():
     """What is estimated bounds the difference to the state to 30 digits."""
     known = dal.systems.known_states("cvt")[-1]

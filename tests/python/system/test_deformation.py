@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dalembert as dal
-from conftest import U, Own, particle_derivative, particle_forms
+from conftest import U, particle_derivative, particle_forms
 
 # Solves with condition below 100 and sums of 4 terms of size 1 to 10: 1e-13 is about 1000 u.
 TOLERANCE = 1e-13
@@ -113,32 +113,6 @@ def test_the_check_examines_the_derivatives(own, bent):
     )
 
 
-def test_linear_in_v_is_a_distribution(particle):
-    """A linear deformation is a linear system, with the fast step, whose reaction does no work."""
-
-    def tilt(q, v):
-        return [np.sin(q[0]) * v[1]]
-
-    tilted = particle.deformed(
-        tilt, 0.3,
-        g_v=lambda q, v: [[0.0, np.sin(q[0]), 0.0]],
-        g_q=lambda q, v: [[np.cos(q[0]) * v[1], 0.0, 0.0]],
-        kind="linear",
-    )  # fmt: skip
-    same = dal.System(
-        mass=[1, 1, 1],
-        forms=lambda q: [[-q[1], 0.3 * np.sin(q[0]), 1]],
-        forms_velocity_derivative=lambda q, v: [[0.3 * np.cos(q[0]) * v[1], -v[0], 0]],
-    )
-    assert tilted.kind == "linear"
-    q = particle.q0
-    v = tilted.project(q, particle.v0)
-    assert tilted.check(q, v) and abs(tilted.power(q, v)[0]) <= 16 * U
-    for scheme in ("leapfrog", "midpoint"):
-        runs = [dal.integrate(system, scheme, q, v, h=0.1, steps=30) for system in (tilted, same)]
-        np.testing.assert_allclose(runs[0].x, runs[1].x, rtol=0, atol=TOLERANCE)
-
-
 def test_what_is_taken_over(own, bent, particle):
     system = with_product(particle, 0.1)
     assert (system.n, system.m, system.kind) == (3, 1, "nonlinear")
@@ -174,25 +148,6 @@ def test_kept_nodes_stay_in_it(own, scheme):
 
 
 # ---- as objects ----------------------------------------------------------------------------
-
-
-def test_the_base_lives_as_long():
-    own = Own()
-    q, v = own.q0, own.v0()
-    bent = Bent()
-    deformed = bent.of(own.system())
-    expected = bent.of(own.system()).field(q, v)
-    for once_more in (deformed, deformed.at_kept_nodes(0.1), deformed.deformed(
-        bent.g, 0.0, g_v=bent.g_v
-    )):  # fmt: skip
-        gc.collect()
-        junk = [own.system() for _ in range(20)]
-        assert np.isfinite(once_more.field(q, v)).all()
-        del junk
-    del deformed
-    gc.collect()
-    twice = once_more.field(q, v)
-    np.testing.assert_allclose(twice, expected, rtol=0, atol=1e-9)  # its g_q is differenced
 
 
 def test_the_handle_keeps_the_base():

@@ -201,19 +201,6 @@ def test_nonlinear(in_python):
         np.testing.assert_allclose(run.multipliers[-1], force, rtol=1e-12)
 
 
-def test_functions_in_python():
-    own = dal.System(
-        mass=[2],
-        forms=lambda q: [[1.0]],
-        affine=lambda q: [-3.0],
-        potential=lambda q: q[0] ** 2,
-        gradient=lambda q: [2 * q[0]],
-    )
-    run = dal.integrate(own, "leapfrog", [1], [3], h=0.1, t_end=1)
-    np.testing.assert_allclose(run.q[-1], [4], rtol=1e-14)
-    np.testing.assert_allclose(run.multipliers[:, 0], 2 * run.q[:, 0], rtol=1e-13)
-
-
 def test_sympy_mechanics(in_python):
     from sympy.physics import mechanics
 

@@ -14,7 +14,6 @@ from scipy.sparse import coo_array
 import dalembert as dal
 
 U = 2.0**-53
-PARAMETERS = {"coupling": 0.4, "stiffness": 0.7}
 
 
 class Skates:

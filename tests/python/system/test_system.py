@@ -178,21 +178,6 @@ def test_number_of_constraints_is_asked_for_at_q0():
     assert len(asked) == 1
 
 
-@pytest.mark.parametrize("data", [{"q0": [3, 4], "v0": [1, -1]}, {}])
-def test_number_of_nonlinear_constraints_is_asked_for_at_the_state(data):
-    """Without one at (0, (1, ..., 1)): at rest an homogeneous constraint has no derivative."""
-    asked = []
-
-    def constraint(q, v):
-        asked.append([*q, *v])
-        return [v[0] * v[1]]
-
-    system = dal.System(
-        mass=[1, 1], constraint=constraint, constraint_v=lambda q, v: [[v[1], v[0]]], **data
-    )
-    assert system.m == 1 and asked == [[3, 4, 1, -1] if data else [0, 0, 1, 1]]
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -279,32 +264,6 @@ def test_check_finds_a_wrong_sign(own):
     assert "gradient" in str(report)
 
 
-def test_check_finds_a_transposed_derivative():
-    wrong = dal.System(
-        mass=[1, 1, 1],
-        forms=particle_forms,
-        forms_velocity_derivative=lambda q, v: np.array([[-v[1], 0.0, 0.0]]),
-    )
-    report = wrong.check([0, 1, 0], [1, 2, 1])
-    assert not report and report.phi_q.error > 0.1
-
-
-def test_check_finds_a_holonomic_constraint():
-    # x v_x + y v_y = 0 is d(x^2 + y^2) = 0.
-    circle = dal.System(
-        mass=[1, 1, 1],
-        forms=lambda q: [[q[0], q[1], 0]],
-        forms_velocity_derivative=lambda q, v: [[v[0], v[1], 0]],
-    )
-    assert circle.check([1, 0.5, 0], [-0.5, 1, 2]).integrable
-
-
-def test_check_finds_nan():
-    broken = dal.System(mass=[1, 1], potential=lambda q: np.nan, gradient=lambda q: q)
-    report = broken.check([1, 1], [0, 0])
-    assert not report.passed and report.text
-
-
 def test_check_needs_a_state():
     with pytest.raises(ValueError, match="q is missing"):
         dal.System(mass=[1]).check()
@@ -312,7 +271,7 @@ def test_check_needs_a_state():
         dal.systems.particle().check([0, 1, 0])
 
 
-def test_check_without_data_takes_a_state_of_D():
+def test_check_without_data_takes_a_state_of_D(in_python):
     x, y, z = dal.coordinates("x y z")
     own = dal.System.from_sympy(
         L=(x.d**2 + y.d**2 + z.d**2) / 2, constraints=[z.d - 100 * y * x.d]
@@ -375,7 +334,7 @@ def test_pickle_of_the_catalogue():
     assert len(pickle.dumps(again)) < 500
 
 
-def test_pickle_knows_what_is_of_the_library():
+def test_pickle_knows_what_is_of_the_library(in_python):
     """Pages say of a system of the library how `systems` makes it again."""
     for system in (dal.systems.cvt(), dal.systems.cvt().with_parameters(c=2)):
         assert system._source.of_library and pickle.loads(pickle.dumps(system))._source.of_library

@@ -12,7 +12,6 @@ from sympy import Rational, cos, sin
 
 import dalembert as dal
 from dalembert import compiler, core
-from dalembert.symbolic.evaluation import library
 
 
 def square(*components):

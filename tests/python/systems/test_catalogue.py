@@ -176,15 +176,6 @@ def test_invariants_on_the_flow(name):
         assert drift <= 1e-11 * max(1.0, abs(x[0])), key
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_midpoint(name):
-    system = make(name)
-    study = dal.convergence(system, "midpoint")
-    assert study.holds is True and study.scheme.order == 2
-    run = dal.integrate(system, "midpoint", h=0.01, steps=500)
-    assert system.relative_residual(run.q, run.v).max() <= 64 * U
-
-
 # ---- known states, of all systems ----------------------------------------------------------------
 
 
@@ -286,37 +277,6 @@ def test_known_states_of_nothing():
 # ---- against other systems ---------------------------------------------------------------------
 
 
-def test_cvt_over_ten_turns():
-    """Values at 20 pi by DOP853 of SciPy at 1e-13, which agree to 3e-11 with those at 1e-12."""
-    end = dal.reference(make("cvt"), t=20 * np.pi)
-    expected = [-0.91655137526, -0.629729862469, 0.189943486988]
-    np.testing.assert_allclose(end.q, expected, rtol=0, atol=1e-10)
-    still, contact = dal.systems.cvt(c=0), dal.systems.contact_oscillator()
-    q, v = contact.q0, contact.v0
-    one, other = (dal.integrate(s, "midpoint", q, v, h=0.01, steps=100) for s in (still, contact))
-    np.testing.assert_allclose(one.y, other.y, rtol=0, atol=64 * U)
-
-
-def test_rotor_without_spring_leaves_the_sleigh_alone():
-    system, sleigh = dal.systems.sleigh_with_rotor(k=0), dal.systems.sleigh()
-    q, v = sleigh.exact(2.0, system.q0[:3], system.v0[:3])
-    end = dal.reference(system, t=2.0)
-    np.testing.assert_allclose([*end.q[:3], *end.v[:3]], [*q, *v], rtol=0, atol=1e-11)
-    assert end.v[2] + end.v[3] == pytest.approx(0.5, abs=1e-12)
-
-
-def test_disguised_stays_on_its_surface():
-    """The midpoint rule keeps D, whose quadratic integral it keeps to order 2 only."""
-    system = make("disguised")
-    (name,) = system.invariants
-    errors = []
-    for steps in (50, 100):
-        run = dal.integrate(system, "midpoint", h=1 / steps, steps=steps)
-        x = system.invariant(run.q, run.v)[name]
-        errors.append(np.abs(x - x[0]).max())
-    assert errors[0] < 1e-2 and 3.5 < errors[0] / errors[1] < 4.5
-
-
 def test_invariant_of_the_roller_racer():
     """The one with the elliptic integral, which its docstring states."""
     system = make("roller_racer")
@@ -340,26 +300,6 @@ def test_invariant_of_the_roller_racer():
     values = angle - [float(mpmath.quad(slope, [0, x])) for x in phi]
     assert np.ptp(phi) > 3 and np.ptp(angle) > 2
     assert np.ptp(values) < 1e-11  # the flow, 1e-13 for each of some dozen steps
-
-
-def test_rotor_has_no_invariant_but_the_energy():
-    """Every motion ends in one that the energy tells: straight on, with the rotor at rest."""
-    system = make("sleigh_with_rotor")
-    source = np.random.default_rng(4)
-    for _ in range(3):
-        q = system.q0 + source.uniform(-0.5, 0.5, 4)
-        v = system.project(q, system.v0 + source.uniform(-0.5, 0.5, 4))
-        run = dal.integrate(system, "reference", q, v, h=10, t_end=400)
-        end, theta = run.v[-1], run.q[-1, 2]
-        u = np.cos(theta) * end[0] + np.sin(theta) * end[1]
-        assert u == pytest.approx(np.sqrt(2 * run.energy[0] / system.parameters["m"]), rel=1e-6)
-        assert np.abs([end[2], end[3], run.q[-1, 3]]).max() < 1e-3
-        momentum = run.v[:, 2] + run.v[:, 3]
-        assert np.ptp(momentum) > 0.1
-    free = system.with_parameters(k=0)
-    run = dal.integrate(free, "midpoint", h=0.05, t_end=10)
-    momentum = run.v[:, 2] + run.v[:, 3]
-    assert np.ptp(momentum) < 1e-13
 
 
 # ---- without SymPy, and what is refused --------------------------------------------------------
