@@ -176,6 +176,20 @@ def test_map_in_python(own, beta, given):
         np.testing.assert_allclose(one, two, atol=1e-9 / h)
 
 
+def test_bent_map_keeps_D_and_has_order_two(own):
+    system = own.system()
+    discrete = dal.Discrete(system, dal.DifferenceMap(map=bent, derivatives=bent_derivatives))
+    errors = []
+    for steps in (10, 20):
+        q, v = system.q0, system.v0
+        for _ in range(steps):
+            q, v, _ = discrete.advance(0.5 / steps, q, v)
+            assert own.residual(q, v) <= 4 * 4 * U
+        end = dal.reference(system, t=0.5)
+        errors.append(abs(np.concatenate([q - end.q, v - end.v])).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.15)
+
+
 def test_exact_velocity_at_a_later_time():
     """x'' = cos 3 t: x(t0 + h) = x0 + v0 h - h sin(3 t0)/3 + (cos 3 t0 - cos 3 (t0 + h))/9."""
     t0, h, v = 0.7, 0.5, -0.3
