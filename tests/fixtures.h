@@ -1,8 +1,13 @@
 /* fixtures.h - what several C tests need: systems, schemes and steppers by name, a few systems that
- * are not built in, and a sequence of numbers.  Whatever cannot be made ends the program. */
+ * are not built in, and a sequence of numbers.  Whatever cannot be made ends the program.
+ *
+ * The functions whose names begin with open_, new_ or start_ return objects that nobody has to free:
+ * they are freed when the program ends, the newest first.  Loops over many give them back by
+ * release(). */
 #ifndef DALEMBERT_TESTS_FIXTURES_H
 #define DALEMBERT_TESTS_FIXTURES_H
 
+#include "check.h"
 #include "generic4.h"
 #include "dalembert/study.h"
 #include "oracle/multiroot.h"
@@ -19,6 +24,78 @@ static inline void need(int status, const char *what, const char *text)
     if (status == DAL_SUCCESS) return;
     fprintf(stderr, "%s: %s: %s\n", what, dal_strerror(status), text);
     exit(2);
+}
+
+/* ---- objects that are freed when the program ends ------------------------------------------ */
+
+typedef enum owned_kind {
+    OWNED_SYSTEM, OWNED_MECHANICS, OWNED_CHART, OWNED_FLOW, OWNED_DISCRETE, OWNED_STEPPER
+} owned_kind;
+
+static struct {
+    struct {
+        owned_kind kind;
+        void *object;
+    } *list;
+    size_t count, room;
+} owned;
+
+static inline void free_owned(size_t first)
+{
+    while (owned.count > first) {
+        void *const object = owned.list[--owned.count].object;
+        switch (owned.list[owned.count].kind) {
+        case OWNED_SYSTEM: dal_system_free(object); break;
+        case OWNED_MECHANICS: dal_mechanics_free(object); break;
+        case OWNED_CHART: dal_chart_free(object); break;
+        case OWNED_FLOW: dal_flow_free(object); break;
+        case OWNED_DISCRETE: dal_discrete_free(object); break;
+        case OWNED_STEPPER: dal_stepper_free(object); break;
+        }
+    }
+}
+
+static inline void free_all_owned(void)
+{
+    free_owned(0);
+    free(owned.list);
+}
+
+/* Frees an object and all that was opened after it. */
+static inline void release(const void *object)
+{
+    size_t first = owned.count;
+    while (first > 0 && owned.list[first - 1].object != object) first--;
+    need(first > 0 ? DAL_SUCCESS : DAL_EINVAL, "release", "nothing of the kind is open");
+    free_owned(first - 1);
+}
+
+/* The object, if it was made without an error. */
+static inline void *own(owned_kind kind, void *object, int status, const char *what,
+                        const dal_error *error)
+{
+    need(status, what, error->text);
+    if (!owned.list) atexit(free_all_owned);
+    if (owned.count == owned.room) {
+        owned.room = 2 * owned.room + 64;
+        owned.list = realloc(owned.list, owned.room * sizeof *owned.list);
+        if (!owned.list) exit(2);
+    }
+    owned.list[owned.count].kind = kind;
+    owned.list[owned.count++].object = object;
+    return object;
+}
+
+/* One that is made of an object's address and an error record, both of which it names. */
+#define OWN(kind, type, what, call)                                            \
+    type *object = NULL;                                                       \
+    dal_error error = {0};                                                     \
+    const int status = call;                                                   \
+    return own(OWNED_##kind, object, status, what, &error)
+
+static inline dal_system *new_system(const dal_system_def *def)
+{
+    OWN(SYSTEM, dal_system, def->name ? def->name : "system", dal_system_new(&object, def, &error));
 }
 
 /* ---- uneven_edge: a knife edge that turns unevenly -----------------------------------------
@@ -69,28 +146,63 @@ static inline int uneven_new(dal_system **system, dal_error *error)
     return dal_system_new(system, &def, error);
 }
 
+static inline int named_new(dal_system **system, const char *name, dal_error *error)
+{
+    if (strcmp(name, "generic4") == 0) return generic4_new(system, error);
+    if (strcmp(name, "uneven_edge") == 0) return uneven_new(system, error);
+    return dal_system_builtin(system, name, NULL, NULL, 0, error);
+}
+
 /* A built-in system, or one of these two. */
 static inline dal_system *open_system(const char *name)
 {
-    dal_system *system = NULL;
-    dal_error error = {0};
-    int status;
-    if (strcmp(name, "generic4") == 0)
-        status = generic4_new(&system, &error);
-    else if (strcmp(name, "uneven_edge") == 0)
-        status = uneven_new(&system, &error);
-    else
-        status = dal_system_builtin(&system, name, NULL, NULL, 0, &error);
-    need(status, name, error.text);
-    return system;
+    OWN(SYSTEM, dal_system, name, named_new(&object, name, &error));
+}
+
+/* A built-in system with these parameters. */
+static inline dal_system *open_builtin(const char *name, size_t count, const char *const *names,
+                                       const double *values)
+{
+    OWN(SYSTEM, dal_system, name,
+        dal_system_builtin(&object, name, names, values, count, &error));
+}
+
+static inline dal_system *open_deformed(const dal_system *base, dal_deformation_fn g, void *ctx,
+                                        double delta, dal_constraint_kind kind, unsigned missing)
+{
+    OWN(SYSTEM, dal_system, "deformed",
+        dal_system_deform(&object, base, g, ctx, delta, kind, missing, &error));
+}
+
+static inline dal_system *open_deformed_nodes(const dal_system *base, double shift)
+{
+    OWN(SYSTEM, dal_system, "deformed", dal_system_deform_nodes(&object, base, shift, &error));
 }
 
 static inline dal_mechanics *open_mechanics(const dal_system *system)
 {
-    dal_mechanics *mechanics = NULL;
-    dal_error error = {0};
-    need(dal_mechanics_new(&mechanics, system, &error), dal_system_name(system), error.text);
-    return mechanics;
+    OWN(MECHANICS, dal_mechanics, dal_system_name(system),
+        dal_mechanics_new(&object, system, &error));
+}
+
+static inline dal_chart *open_chart(const dal_system *system)
+{
+    OWN(CHART, dal_chart, dal_system_name(system), dal_chart_new(&object, system, &error));
+}
+
+static inline dal_discrete *open_discrete(const dal_system *system,
+                                          dal_difference_map lagrangian,
+                                          const dal_difference_map *constraint)
+{
+    OWN(DISCRETE, dal_discrete, dal_system_name(system),
+        dal_discrete_new(&object, system, &lagrangian, constraint, &error));
+}
+
+static inline dal_flow *open_flow(const dal_system *system, dal_flow_method method,
+                                  dal_flow_coordinates coordinates, double tolerance)
+{
+    OWN(FLOW, dal_flow, dal_system_name(system),
+        dal_flow_new(&object, system, method, coordinates, tolerance, &error));
 }
 
 static inline dal_scheme find_scheme(const char *name)
@@ -104,19 +216,31 @@ static inline dal_scheme find_scheme(const char *name)
 static inline dal_stepper *open_stepper(const dal_system *system, const dal_scheme *scheme,
                                         const dal_options *options)
 {
-    dal_stepper *stepper = NULL;
-    dal_error error = {0};
-    need(dal_stepper_new(&stepper, system, scheme, options, &error), scheme->name, error.text);
-    return stepper;
+    OWN(STEPPER, dal_stepper, scheme->name,
+        dal_stepper_new(&object, system, scheme, options, &error));
 }
 
 static inline dal_stepper *open_stepper_by(way by, const dal_system *system,
                                            const dal_scheme *scheme)
 {
-    dal_stepper *stepper = NULL;
-    dal_error error = {0};
-    need(new_stepper_by(by, &stepper, system, scheme, &error), scheme->name, error.text);
+    OWN(STEPPER, dal_stepper, scheme->name, new_stepper_by(by, &object, system, scheme, &error));
+}
+
+/* It stands at x, which lies in D, at time 0. */
+static inline dal_stepper *start_stepper(const dal_system *system, const dal_scheme *scheme,
+                                         double h, const double *x)
+{
+    dal_stepper *const stepper = open_stepper(system, scheme, NULL);
+    need(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE), scheme->name,
+         dal_stepper_error(stepper)->text);
     return stepper;
+}
+
+static inline dal_stepper *start_named(const dal_system *system, const char *scheme_name, double h,
+                                       const double *x)
+{
+    const dal_scheme scheme = find_scheme(scheme_name);
+    return start_stepper(system, &scheme, h, x);
 }
 
 /* The next of a fixed sequence of numbers in [-1, 1]. */
@@ -158,12 +282,11 @@ static inline void inverse_diagonal(const dal_system *system, const double *x, d
     enum { MOST = 48 };
     const size_t n = system->def.n;
     double A[MOST][2 * MOST], M[MOST * MOST];
-    dal_mechanics *mechanics = NULL;
     if (n > MOST) exit(2);
     if (dal_system_mass(system, M)) {
-        if (dal_mechanics_new(&mechanics, system, NULL) || dal_metric(mechanics, 0.0, x, M))
-            exit(2);
-        dal_mechanics_free(mechanics);
+        dal_mechanics *const mechanics = open_mechanics(system);
+        if (dal_metric(mechanics, 0.0, x, M)) exit(2);
+        release(mechanics);
     }
     for (size_t i = 0; i < n; i++) {
         for (size_t j = 0; j < n; j++) {
@@ -275,14 +398,12 @@ static inline dal_system *open_wide(wide *w, size_t n, size_t m, bool full_mass,
                                 .potential = potential ? wide_potential : NULL,
                                 .constraint = m > 0 ? wide_constraint : NULL, .ctx = w,
                                 .name = "wide"};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "wide", error.text);
+    dal_system *const system = new_system(&def);
     for (size_t i = 0; i < 2 * n; i++) w->state[i] = next_number(&seed);
     dal_mechanics *const mechanics = open_mechanics(system);
     need(dal_project(mechanics, 0.0, 0.0, w->state, NULL), "wide",
          dal_mechanics_error(mechanics)->text);
-    dal_mechanics_free(mechanics);
+    release(mechanics);
     return system;
 }
 
@@ -353,10 +474,7 @@ static inline dal_system *open_mixed(dal_system *base)
     def.potential = base->def.potential ? mixed_potential : NULL;
     def.exact = NULL;
     def.invariants = 0;
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "mixed", error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* f = B(q)^T g: the multipliers of mu from those of mu' = B(q) mu. */

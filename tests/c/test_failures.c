@@ -3,10 +3,8 @@
  * then is the status that the header names, a message with the numbers, states and outputs bit for
  * bit as they were, and an object that goes on as if nothing had happened.  GSL's handler aborts
  * throughout. */
+#include "fixtures.h"
 #include "check.h"
-#include "dalembert/study.h"
-#include "generic4.h"
-#include "oracle/multiroot.h"
 
 #include <ctype.h>
 #include <gsl/gsl_errno.h>
@@ -122,25 +120,20 @@ static int faulty_potential(double t, const double *q, double *V, double *V_q, d
 }
 
 /* "free": generic4 without its constraints. */
-static dal_system *open_system(const char *name)
+static dal_system *open_any(const char *name)
 {
-    dal_system *system = NULL;
+    if (strcmp(name, "free") != 0) return open_system(name);
     double state[MOST];
     generic4_state(state);
     const dal_system_def unconstrained = {.n = 4, .mass = generic4_mass,
                                           .potential = generic4_potential, .state = state};
-    if (strcmp(name, "generic4") == 0) CHECK(generic4_new(&system, NULL) == 0);
-    else if (strcmp(name, "free") == 0)
-        CHECK(dal_system_new(&system, &unconstrained, NULL) == 0);
-    else CHECK(dal_system_builtin(&system, name, NULL, NULL, 0, NULL) == 0);
-    return system;
+    return new_system(&unconstrained);
 }
 
 /* The system called name, with callbacks that obey f; x[2n] <- its default state. */
 static dal_system *open_faulty(const char *name, unsigned missing, fault *f, double *x)
 {
-    dal_system *system = NULL;
-    *f = (fault){.inner = open_system(name)};
+    *f = (fault){.inner = open_any(name)};
     CHECK(dal_system_state(f->inner, x) == 0);
     dal_system_def def = f->inner->def;
     def.ctx = f;
@@ -149,14 +142,7 @@ static dal_system *open_faulty(const char *name, unsigned missing, fault *f, dou
     if (def.potential) def.potential = faulty_potential;
     def.exact = NULL;
     def.invariants = 0;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
-    return system;
-}
-
-static void close_faulty(dal_system *system, fault *f)
-{
-    dal_system_free(system);
-    dal_system_free(f->inner);
+    return new_system(&def);
 }
 
 static bool has(const fault *f, callback where)
@@ -195,7 +181,7 @@ static void open_bench(bench *b, const char *system, unsigned missing, const cha
     b->n = dal_system_n(b->system);
     b->m = dal_system_m(b->system);
     CHECK(dal_scheme_find(&scheme, scheme_name, NULL) == 0);
-    CHECK(new_stepper_by(by, &b->stepper, b->system, &scheme, NULL) == 0);
+    b->stepper = open_stepper_by(by, b->system, &scheme);
     b->initial = scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_D : DAL_INITIAL_NONE;
     for (callback where = 0; where < CALLBACKS; where++) {
         plan_fault(&b->f, where, REFUSE, 0, 0);
@@ -213,12 +199,6 @@ static void open_bench(bench *b, const char *system, unsigned missing, const cha
     }
     /* a step is solved to 64 u of the state's scale, by whatever path, and the steps add up */
     b->tolerance = 64 * DAL_ROUNDOFF * scale * STEPS;
-}
-
-static void close_bench(bench *b)
-{
-    dal_stepper_free(b->stepper);
-    close_faulty(b->system, &b->f);
 }
 
 static void check_state(const bench *b, const double *x, size_t step)
@@ -329,7 +309,7 @@ static void test_disturbed_steps(const char *system, unsigned missing, way by, s
         }
         CHECK(b.refused > 0);
         recovered += b.recovered;
-        close_bench(&b);
+        release(b.f.inner);
     }
     /* a single refusal inside the iteration is survived; hybridsj survives none */
     CHECK((recovered > 0) == (by != BY_MULTIROOT));
@@ -372,7 +352,6 @@ static void test_disturbed_integration(const char *system, const char *scheme)
                     for (size_t a = 0; a < m; a++) /* an impulse over h */
                         CHECK_NEAR(reactions[m * row + a], b.reactions[row][a], b.tolerance / h);
             }
-    close_bench(&b);
 }
 
 /* In the middle of a stride: the stepper stands after its last good step, between two rows. */
@@ -405,7 +384,6 @@ static void test_disturbed_stride(void)
         CHECK(done == 0 && all_are(MOST_FORMS, mean, UNTOUCHED));
     }
     CHECK(between > 0);
-    close_bench(&b);
 }
 
 /* Stops at the call of its number. */
@@ -445,7 +423,6 @@ static void test_observer(void)
             for (size_t row = 0; row <= STEPS; row++)
                 CHECK(memcmp(rows + 2 * b.n * row, b.rows[row], 2 * b.n * sizeof *rows) == 0);
         }
-    close_bench(&b);
 }
 
 /* A start that is refused in the middle of a run leaves not one bit behind. */
@@ -486,7 +463,6 @@ static void test_refused_start(way by)
         CHECK(memcmp(dal_stepper_state(b.stepper), b.rows[step], 2 * b.n * sizeof *bad) == 0);
         CHECK(dal_stepper_time(b.stepper) == 0.5 + (double)step * h);
     }
-    close_bench(&b);
 }
 
 /* ---- outputs that are never written ------------------------------------------------------- */
@@ -518,41 +494,36 @@ static void test_nothing_written(void)
         const dal_system_def def = {.n = 4, .m = 2, .mass = generic4_mass, .ctx = &forgotten,
                                     .potential = forgetful_potential,
                                     .constraint = forgetful_constraint};
-        dal_system *system = NULL;
-        dal_mechanics *mechanics = NULL;
         double x[MOST], E = UNTOUCHED;
         generic4_state(x);
-        CHECK(dal_system_new(&system, &def, NULL) == 0);
-        CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+        dal_system *const system = new_system(&def);
+        dal_mechanics *const mechanics = open_mechanics(system);
         if (forgotten == V) {
             CHECK(dal_energy(mechanics, 0.0, x, &E) == DAL_EDOMAIN && E == UNTOUCHED);
             CHECK(strstr(dal_mechanics_error(mechanics)->text, names[V]) != NULL);
         }
         for (size_t i = 0; i < WAYS * SCHEMES && forgotten != V; i++) {
-            dal_stepper *stepper = NULL;
             dal_scheme scheme;
             CHECK(dal_scheme_find(&scheme, schemes[i % SCHEMES], NULL) == 0);
-            CHECK(new_stepper_by((way)(i / SCHEMES), &stepper, system, &scheme, NULL) == 0);
+            dal_stepper *const stepper = open_stepper_by((way)(i / SCHEMES), system, &scheme);
             const dal_initial initial = scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT
                                                                        : DAL_INITIAL_NONE;
             CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, initial) == DAL_EDOMAIN);
             CHECK(strstr(dal_stepper_error(stepper)->text, names[forgotten]) != NULL);
             CHECK(dal_step(stepper, NULL) == DAL_EINVAL);
-            dal_stepper_free(stepper);
+            release(stepper);
         }
         for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_RODAS; method++) {
             if (forgotten == V || forgotten == V_QQ) break; /* it asks for neither */
-            dal_flow *flow = NULL;
             double before[MOST];
             memcpy(before, x, sizeof x);
-            CHECK(dal_flow_new(&flow, system, method, DAL_FLOW_X, 1e-6, NULL) == 0);
+            dal_flow *const flow = open_flow(system, method, DAL_FLOW_X, 1e-6);
             CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &E) == DAL_EDOMAIN && E == UNTOUCHED);
             CHECK(memcmp(x, before, sizeof x) == 0);
             CHECK(strstr(dal_flow_error(flow)->text, names[forgotten]) != NULL);
-            dal_flow_free(flow);
+            release(flow);
         }
-        dal_mechanics_free(mechanics);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -601,9 +572,8 @@ static void test_disturbed_mechanics(unsigned missing)
 {
     fault f;
     double x[MOST], before[ANSWERS], answers[ANSWERS];
-    dal_mechanics *mechanics = NULL;
     dal_system *system = open_faulty("generic4", missing, &f, x);
-    CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+    dal_mechanics *const mechanics = open_mechanics(system);
     reset_answers(before, x);
     for (question about = ENERGY; about < QUESTIONS; about++) {
         double good[ANSWERS];
@@ -631,8 +601,6 @@ static void test_disturbed_mechanics(unsigned missing)
                     CHECK(memcmp(answers, good, sizeof answers) == 0);
                 }
     }
-    dal_mechanics_free(mechanics);
-    close_faulty(system, &f);
 }
 
 /* Rows before the failure are valid, the others untouched. */
@@ -641,9 +609,8 @@ static void test_disturbed_rows(void)
     enum { ROWS = 3, EACH = 1 + 2 + 2 + 1 };
     fault f;
     double x[MOST], rows[ROWS * MOST], good[ROWS * EACH], out[ROWS * EACH];
-    dal_mechanics *mechanics = NULL;
     dal_system *system = open_faulty("generic4", 0, &f, x);
-    CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+    dal_mechanics *const mechanics = open_mechanics(system);
     for (size_t i = 0; i < ROWS * MOST; i++) rows[i] = x[i % MOST] * (1.0 + 0.125 * (double)i);
     for (callback where = 0; where < CALLBACKS; where++) {
         double *const columns[4] = {out, out + ROWS, out + 3 * ROWS, out + 5 * ROWS};
@@ -669,8 +636,6 @@ static void test_disturbed_rows(void)
             }
         }
     }
-    dal_mechanics_free(mechanics);
-    close_faulty(system, &f);
 }
 
 /* ---- exact solutions and invariants ------------------------------------------------------- */
@@ -704,8 +669,7 @@ static void test_exact_and_invariants(void)
                                 .constraint = generic4_constraint, .exact = spoiling_exact,
                                 .invariants = 2, .invariant_names = names,
                                 .invariant = spoiling_invariant, .ctx = &f};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     for (f.what = REFUSE; f.what <= WRITE_NOTHING; f.what++) {
         fill(MOST, x, UNTOUCHED);
         fill(2, values, UNTOUCHED);
@@ -715,7 +679,6 @@ static void test_exact_and_invariants(void)
     }
     CHECK(dal_system_exact(system, NAN, x0, x) == DAL_EINVAL);
     CHECK(dal_system_exact(system, INFINITY, x0, x) == DAL_EINVAL);
-    dal_system_free(system);
 }
 
 /* ---- the reference flow ------------------------------------------------------------------- */
@@ -727,9 +690,8 @@ static void test_disturbed_flow(dal_flow_method method, size_t every)
     const double tolerance = 1e-6;
     fault f;
     double x0[MOST], x[MOST], end[MOST], rows[ROWS * MOST];
-    dal_flow *flow = NULL;
     dal_system *system = open_faulty("generic4", 0, &f, x0);
-    CHECK(dal_flow_new(&flow, system, method, DAL_FLOW_X, tolerance, NULL) == 0);
+    dal_flow *const flow = open_flow(system, method, DAL_FLOW_X, tolerance);
     for (callback where = 0; where < CALLBACKS; where++) {
         plan_fault(&f, where, REFUSE, 0, 0);
         memcpy(end, x0, sizeof end);
@@ -769,8 +731,6 @@ static void test_disturbed_flow(dal_flow_method method, size_t every)
         CHECK(dal_flow_apply(flow, 0.0, 1.0, x, NULL) == 0);
         CHECK(memcmp(x, end, sizeof x) == 0);
     }
-    dal_flow_free(flow);
-    close_faulty(system, &f);
 }
 
 /* ---- the order study ---------------------------------------------------------------------- */
@@ -822,7 +782,6 @@ static void test_disturbed_study(const char *scheme_name, size_t every)
                 }
         CHECK(failed_points > 0);
     }
-    close_faulty(system, &f);
 }
 
 /* ---- singular, indefinite, divergent ------------------------------------------------------ */
@@ -857,15 +816,12 @@ static void test_singular_constraints(void)
     for (deficiency kind = ZERO_ROW; kind <= DOUBLED_ROW; kind++) {
         const dal_system_def def = {.n = 3, .m = 2, .mass = mass, .ctx = &kind,
                                     .constraint = deficient_constraint};
-        dal_system *system = NULL;
-        dal_mechanics *mechanics = NULL;
-        dal_flow *flow = NULL;
         double x[6], out[6];
         memcpy(x, x0, sizeof x);
         fill(6, out, UNTOUCHED);
-        CHECK(dal_system_new(&system, &def, NULL) == 0);
-        CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
-        CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == 0);
+        dal_system *const system = new_system(&def);
+        dal_mechanics *const mechanics = open_mechanics(system);
+        dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6);
         CHECK(dal_multipliers(mechanics, 0.0, x, out) == DAL_ESINGULAR);
         CHECK(has_number(dal_mechanics_error(mechanics)->text));
         CHECK(dal_acceleration(mechanics, 0.0, x, out) == DAL_ESINGULAR);
@@ -876,10 +832,9 @@ static void test_singular_constraints(void)
               == DAL_ESINGULAR);
         CHECK(dal_flow_apply(flow, 0.0, 1.0, x, out) == DAL_ESINGULAR);
         for (size_t i = 0; i < WAYS * SCHEMES; i++) {
-            dal_stepper *stepper = NULL;
             dal_scheme scheme;
             CHECK(dal_scheme_find(&scheme, schemes[i % SCHEMES], NULL) == 0);
-            CHECK(new_stepper_by((way)(i / SCHEMES), &stepper, system, &scheme, NULL) == 0);
+            dal_stepper *const stepper = open_stepper_by((way)(i / SCHEMES), system, &scheme);
             const dal_initial initial = scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_D
                                                                        : DAL_INITIAL_NONE;
             CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, initial) == DAL_ESINGULAR);
@@ -889,12 +844,10 @@ static void test_singular_constraints(void)
                   || (i / SCHEMES == BY_MULTIROOT && status == DAL_ENOCONV));
             CHECK(strstr(dal_stepper_error(stepper)->text, "step 1 ") != NULL);
             CHECK(memcmp(dal_stepper_state(stepper), x0, sizeof x0) == 0);
-            dal_stepper_free(stepper);
+            release(stepper);
         }
         CHECK(memcmp(x, x0, sizeof x) == 0 && all_are(6, out, UNTOUCHED));
-        dal_flow_free(flow);
-        dal_mechanics_free(mechanics);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -929,11 +882,10 @@ static void test_singular_step(void)
     const double x0[6] = {0.0, -1.0, 0.0, 1.0, 4.0, -1.0}, length = 0.5;
     for (way by = 0; by < WAYS; by++) {
         dal_system *system = open_system("particle");
-        dal_stepper *stepper = NULL;
         dal_scheme scheme;
         double reaction = UNTOUCHED;
         CHECK(dal_scheme_find(&scheme, "endpoint", NULL) == 0);
-        CHECK(new_stepper_by(by, &stepper, system, &scheme, NULL) == 0);
+        dal_stepper *const stepper = open_stepper_by(by, system, &scheme);
         CHECK(dal_stepper_start(stepper, 0.0, length, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         for (int again = 0; again < 2; again++) {
             const int status = dal_step(stepper, &reaction);
@@ -945,8 +897,7 @@ static void test_singular_step(void)
         }
         CHECK(dal_stepper_start(stepper, 0.0, 0.8 * length, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_step(stepper, &reaction) == 0);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -955,13 +906,12 @@ static void test_singular_step(void)
 static void test_divergence(way by)
 {
     dal_system *system = open_system("chaotic");
-    dal_stepper *stepper = NULL;
     dal_scheme scheme;
     double x[14], before[14], reaction = UNTOUCHED;
     int status = DAL_SUCCESS;
     CHECK(dal_system_state(system, x) == 0);
     CHECK(dal_scheme_find(&scheme, "midpoint", NULL) == 0);
-    CHECK(new_stepper_by(by, &stepper, system, &scheme, NULL) == 0);
+    dal_stepper *const stepper = open_stepper_by(by, system, &scheme);
     CHECK(dal_stepper_start(stepper, 0.0, 5.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     for (int step = 0; step < 20 && !status; step++) {
         memcpy(before, dal_stepper_state(stepper), sizeof before);
@@ -977,8 +927,6 @@ static void test_divergence(way by)
     memcpy(x, before, sizeof x);
     CHECK(dal_stepper_start(stepper, 0.0, 1e-3, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     CHECK(dal_advance(stepper, 10, NULL, NULL) == 0);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* V = 10 (q ln q - q) for q > 0. */
@@ -1011,12 +959,9 @@ static void test_halving(void)
     const dal_scheme midpoint = {.beta = 0.5};
     for (size_t i = 0; i < 3; i++) {
         def.force = i == 2 ? no_force : NULL;
-        dal_system *system = NULL;
-        dal_stepper *stepper = NULL;
         dal_stats stats;
-        CHECK(dal_system_new(&system, &def, NULL) == 0);
-        CHECK(new_stepper_by(i == 1 ? BY_ANY_SIZES : BY_LIBRARY, &stepper, system, &midpoint, NULL)
-              == 0);
+        dal_system *const system = new_system(&def);
+        dal_stepper *const stepper = open_stepper_by(i == 1 ? BY_ANY_SIZES : BY_LIBRARY, system, &midpoint);
         CHECK(dal_stepper_start(stepper, 0.0, 2.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_step(stepper, NULL) == 0);
         dal_stepper_stats(stepper, &stats);
@@ -1024,8 +969,7 @@ static void test_halving(void)
         const double *const x = dal_stepper_state(stepper);
         CHECK_NEAR(x[0] + 10.0 * log(x[0]), 5.0, 64 * DBL_EPSILON); /* of terms up to 5 */
         CHECK_NEAR(x[0], 1.0 + 2.0 + x[1], 8 * DBL_EPSILON);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -1042,10 +986,9 @@ static void test_blow_up(way by)
         CHECK(bytes <= sizeof x);
         CHECK(dal_system_state(system, x) == 0);
         for (size_t i = 0; i < SCHEMES; i++) {
-            dal_stepper *stepper = NULL;
             dal_scheme scheme;
             CHECK(dal_scheme_find(&scheme, schemes[i], NULL) == 0);
-            CHECK(new_stepper_by(by, &stepper, system, &scheme, NULL) == 0);
+            dal_stepper *const stepper = open_stepper_by(by, system, &scheme);
             const dal_initial initial = scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_D
                                                                        : DAL_INITIAL_NONE;
             for (size_t l = 0; l < sizeof lengths / sizeof lengths[0]; l++) {
@@ -1061,9 +1004,9 @@ static void test_blow_up(way by)
                 CHECK(memcmp(before, dal_stepper_state(stepper), bytes) == 0);
                 CHECK(has_number(dal_stepper_error(stepper)->text));
             }
-            dal_stepper_free(stepper);
+            release(stepper);
         }
-        dal_system_free(system);
+        release(system);
     }
     CHECK(failures > 0);
 }
@@ -1073,14 +1016,13 @@ static void test_blow_up(way by)
 static void test_overflow(way by)
 {
     dal_system *system = open_system("particle_oscillator");
-    dal_stepper *stepper = NULL;
     dal_scheme scheme;
     double x[6], before[6];
     int status = DAL_SUCCESS;
     size_t steps = 0;
     CHECK(dal_system_state(system, x) == 0);
     CHECK(dal_scheme_find(&scheme, "endpoint", NULL) == 0);
-    CHECK(new_stepper_by(by, &stepper, system, &scheme, NULL) == 0);
+    dal_stepper *const stepper = open_stepper_by(by, system, &scheme);
     CHECK(dal_stepper_start(stepper, 0.0, 50.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     while (!status && steps < 100000) {
         memcpy(before, dal_stepper_state(stepper), sizeof before);
@@ -1091,8 +1033,6 @@ static void test_overflow(way by)
     CHECK(status == DAL_EDOMAIN || status == DAL_ENOCONV || status == DAL_ESINGULAR);
     CHECK(steps >= 1);
     CHECK(memcmp(before, dal_stepper_state(stepper), sizeof before) == 0);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* States and steps put together from the ends of the range of double: a success is finite, a
@@ -1108,10 +1048,9 @@ static void test_extreme_numbers(void)
     const char *const names[] = {"generic4", "particle_oscillator", "robot", "free"};
     size_t successes = 0, steps = 0;
     for (size_t s = 0; s < sizeof names / sizeof names[0]; s++) {
-        dal_system *system = open_system(names[s]);
+        dal_system *system = open_any(names[s]);
         const size_t N = 2 * dal_system_n(system);
-        dal_mechanics *mechanics = NULL;
-        CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+        dal_mechanics *const mechanics = open_mechanics(system);
         for (size_t trial = 0; trial < TRIALS; trial++) {
             double x0[MOST], x[MOST];
             for (size_t i = 0; i < N; i++) x0[i] = NEXT;
@@ -1125,11 +1064,9 @@ static void test_extreme_numbers(void)
             status = dal_consistent(mechanics, 0.0, keep, x, NULL);
             CHECK(status ? memcmp(x, x0, N * sizeof *x) == 0 : dal__all_finite(N, x));
 
-            dal_stepper *stepper = NULL;
             dal_scheme scheme;
             CHECK(dal_scheme_find(&scheme, schemes[trial % SCHEMES], NULL) == 0);
-            CHECK(new_stepper_by((way)(trial / SCHEMES % WAYS), &stepper, system, &scheme,
-                                 NULL) == 0);
+            dal_stepper *const stepper = open_stepper_by((way)(trial / SCHEMES % WAYS), system, &scheme);
             const bool kept = scheme.nodes == DAL_KEPT_NODES;
             const dal_initial initial = kept ? (dal_initial)(1 + trial % 4) : DAL_INITIAL_NONE;
             status = dal_stepper_start(stepper, 0.0, NEXT, x0, (dal_consistency)(trial % 2 + 1),
@@ -1144,10 +1081,9 @@ static void test_extreme_numbers(void)
                 if (status) CHECK(memcmp(before, dal_stepper_state(stepper), N * sizeof *x) == 0);
                 else CHECK(dal__all_finite(N, dal_stepper_state(stepper)));
             }
-            dal_stepper_free(stepper);
+            release(stepper);
         }
-        dal_mechanics_free(mechanics);
-        dal_system_free(system);
+        release(system);
     }
 #undef NEXT
     CHECK(successes > 0 && steps > 0);
@@ -1231,7 +1167,6 @@ static void test_bad_records(void)
     }
     CHECK(dal_stepper_new(&stepper, system, &scheme, &options, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "-5") != NULL && stepper == NULL);
-    dal_system_free(system);
 }
 
 /* ---- NULL --------------------------------------------------------------------------------- */
@@ -1274,7 +1209,7 @@ static void test_null_mechanics(const dal_system *system, const double *x0)
     fill(MOST, out, UNTOUCHED);
     CHECK(dal_mechanics_new(NULL, system, NULL) == DAL_EINVAL);
     CHECK(dal_mechanics_new(&mechanics, NULL, NULL) == DAL_EINVAL && mechanics == NULL);
-    CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+    mechanics = open_mechanics(system);
     dal_mechanics *const mech = mechanics;
     CHECK(dal_energy(NULL, 0.0, x, out) == DAL_EINVAL);
     CHECK(dal_energy(mech, 0.0, NULL, out) == DAL_EINVAL);
@@ -1323,7 +1258,6 @@ static void test_null_mechanics(const dal_system *system, const double *x0)
     CHECK(done == 0);
     CHECK(dal_trajectory(mech, 0.0, h, 0.0, 0, NULL, NULL, NULL, NULL, NULL, NULL, NULL) == 0);
     CHECK(memcmp(x, x0, 6 * sizeof *x) == 0 && all_are(MOST, out, UNTOUCHED));
-    dal_mechanics_free(mechanics);
     dal_mechanics_free(NULL);
 }
 
@@ -1334,12 +1268,11 @@ static void test_null_flow(const dal_system *system, double *x)
     CHECK(dal_flow_new(NULL, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == DAL_EINVAL);
     CHECK(dal_flow_new(&flow, NULL, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL)
           == DAL_EINVAL && flow == NULL);
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == 0);
+    flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6);
     CHECK(dal_flow_apply(NULL, 0.0, 1.0, x, NULL) == DAL_EINVAL);
     CHECK(dal_flow_apply(flow, 0.0, 1.0, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_flow_trajectory(NULL, 0.0, h, 1, x, &done) == DAL_EINVAL && done == 0);
     CHECK(dal_flow_trajectory(flow, 0.0, h, 1, NULL, NULL) == DAL_EINVAL);
-    dal_flow_free(flow);
     dal_flow_free(NULL);
 }
 
@@ -1360,7 +1293,7 @@ static void test_null_stepper(const dal_system *system, const double *x)
     CHECK(dal_stepper_new(NULL, system, &scheme, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_stepper_new(&stepper, NULL, &scheme, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_stepper_new(&stepper, system, NULL, NULL, NULL) == DAL_EINVAL && stepper == NULL);
-    CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, NULL) == 0);
+    stepper = open_stepper(system, &scheme, NULL);
     CHECK(dal_stepper_start(NULL, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
     CHECK(dal_stepper_start(stepper, 0.0, h, NULL, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
     CHECK(dal_step(NULL, &reaction) == DAL_EINVAL);
@@ -1377,7 +1310,6 @@ static void test_null_stepper(const dal_system *system, const double *x)
     CHECK(has_number(dal_stepper_error(stepper)->text));
     CHECK(dal_integrate(stepper, 3, 0, NULL, &reaction, NULL, NULL, NULL) == DAL_EINVAL);
     CHECK(reaction == UNTOUCHED);
-    dal_stepper_free(stepper);
     dal_stepper_free(NULL);
 }
 
@@ -1423,7 +1355,6 @@ static void test_null(void)
     test_null_flow(system, x);
     test_null_stepper(system, x);
     test_null_study(system, x);
-    dal_system_free(system);
     for (int status = -20; status <= 20; status++) CHECK(dal_strerror(status) != NULL);
 }
 
@@ -1533,14 +1464,14 @@ static void fill_huge(uint64_t *random, size_t count, double *values)
  * and the outputs are as they were. */
 static void test_overflown(const char *name)
 {
-    dal_system *system = open_system(name);
+    dal_system *system = open_any(name);
     huge a = {.n = dal_system_n(system), .m = dal_system_m(system)};
     const dal_difference_map lagrangian = {.beta = 0.3}, constraint = {.beta = 0.6};
     double out[OVERFLOWN], x0[16];
     CHECK(dal_system_state(system, x0) == 0);
-    CHECK(dal_mechanics_new(&a.mech, system, NULL) == 0);
-    CHECK(dal_chart_new(&a.chart, system, NULL) == 0);
-    CHECK(dal_discrete_new(&a.discrete, system, &lagrangian, &constraint, NULL) == 0);
+    a.mech = open_mechanics(system);
+    a.chart = open_chart(system);
+    a.discrete = open_discrete(system, lagrangian, &constraint);
     a.out = out;
     for (uint64_t seed = 0; seed < 300; seed++)
         for (size_t k = 0; k < DAL_LENGTH(huge_questions); k++) {
@@ -1567,10 +1498,6 @@ static void test_overflown(const char *name)
                 fprintf(stderr, "%s of %s, seed %d: status %d\n", huge_questions[k].name, name,
                         (int)seed, status);
         }
-    dal_discrete_free(a.discrete);
-    dal_chart_free(a.chart);
-    dal_mechanics_free(a.mech);
-    dal_system_free(system);
 }
 
 int main(void)

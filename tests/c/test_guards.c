@@ -347,7 +347,6 @@ static void add_stats(dal_stepper *stepper, dal_stats *sum)
 /* The system s as a stepper at x[2n] or, where D is, near it; NULL if it cannot start there. */
 static dal_stepper *start_drawn(drawn *s, const draw *d, const double *x, dal_system **system)
 {
-    dal_error error = {0};
     const dal_system_def def = {.n = s->n, .m = s->m, .mass = s->mass, .ctx = s, .name = "drawn",
                                 .potential = d->potential ? potential : NULL,
                                 .constraint = s->m > 0 ? constraint : NULL,
@@ -355,7 +354,7 @@ static dal_stepper *start_drawn(drawn *s, const draw *d, const double *x, dal_sy
                                 .steady = d->steady && s->m > 0 ? DAL_STEADY_DECLARED : 0};
     const dal_scheme scheme = {.name = "drawn", .beta = d->beta,
                                .nodes = d->kept ? DAL_KEPT_NODES : DAL_MOVED_NODES};
-    need(dal_system_new(system, &def, &error), "drawn", error.text);
+    *system = new_system(&def);
     dal_stepper *const stepper = open_stepper(*system, &scheme, NULL);
     if (!dal_stepper_start(stepper, 0.0, d->h, x, DAL_PROJECT,
                            d->kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE)) {
@@ -365,7 +364,6 @@ static dal_stepper *start_drawn(drawn *s, const draw *d, const double *x, dal_sy
         s->potential_calls = stats.potential_calls;
         return stepper;
     }
-    dal_stepper_free(stepper);
     return NULL;
 }
 
@@ -407,8 +405,7 @@ static void run(const draw *d, unsigned seed, tally *count)
         count->worst = fmax(count->worst, found);
     }
     if (stepper) add_stats(stepper, &count->sum);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
+    release(system);
 }
 
 static draw nth_draw(unsigned k)
@@ -560,10 +557,7 @@ static void test_units(unsigned systems)
             CHECK(stats[0].iterations == stats[1].iterations);
             CHECK(stats[0].corrections == stats[1].corrections);
         }
-        for (int j = 0; j < 2; j++) {
-            dal_stepper_free(stepper[j]);
-            dal_system_free(system[j]);
-        }
+        release(system[0]);
     }
 }
 
@@ -606,10 +600,8 @@ static dal_stepper *start_in_line(dal_potential_fn V, double *k, double beta, do
     static const double mass[1] = {1.0};
     const dal_system_def def = {.n = 1, .mass = mass, .potential = V, .ctx = k};
     const dal_scheme scheme = {.name = "line", .beta = beta};
-    need(dal_system_new(system, &def, NULL), "line", "");
-    dal_stepper *const stepper = open_stepper(*system, &scheme, NULL);
-    CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
-    return stepper;
+    *system = new_system(&def);
+    return start_stepper(*system, &scheme, h, x);
 }
 
 /* The largest error of v' - v = -h (beta V_q(q) + (1-beta) V_q(q')) in steps, in roundings of what
@@ -633,8 +625,6 @@ static double worst_balance(dal_potential_fn V, double *k, double beta, double h
                         + h * (fabs(x[0]) + fabs(y[0]) + fabs(before) + fabs(after));
         worst = fmax(worst, (double)fabsl(sum / size) / U);
     }
-    dal_stepper_free(stepper);
-    dal_system_free(system);
     return worst;
 }
 
@@ -665,8 +655,7 @@ static void test_energy_of_spring(void)
         const double *const y = dal_stepper_state(stepper);
         const real change = ((real)y[0] * y[0] + (real)y[1] * y[1]) / 1.09L - 1.0L;
         CHECK_NEAR((double)change / U, 0.0, 20.0 * sqrt((double)STEPS));
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -687,8 +676,7 @@ static void test_corrections(void)
         CHECK(stats.full_newtons == (j > 0));
         CHECK(j == 1 ? stats.iterations > 10 : stats.iterations <= 9);
         CHECK_NEAR(dal_stepper_state(stepper)[1], (0.5 * (1.0 - c) - k) / (1.0 + c), 8 * U);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -705,8 +693,7 @@ static void test_stop(void)
         dal_stepper_stats(stepper, &stats);
         CHECK(stats.full_newtons == 0);
         CHECK_NEAR(dal_stepper_state(stepper)[1], 0.0, 4 * U * k);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -731,8 +718,7 @@ static void test_negative_spring(void)
         CHECK(strstr(dal_stepper_error(stepper)->text, cases[j].words) != NULL);
         if (!cases[j].status)
             CHECK_NEAR(dal_stepper_state(stepper)[1], (0.5 * (1.0 - c) - k) / (1.0 + c), 400 * U);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -753,18 +739,14 @@ static void test_stiff_beside_soft(void)
     for (int with = 0; with < 2; with++) {
         double k[2] = {4e20, with ? 0.4 : 0.0};
         const dal_system_def def = {.n = 2, .mass = mass, .potential = two_springs, .ctx = k};
-        const dal_scheme scheme = find_scheme("midpoint");
-        dal_system *system = NULL;
-        need(dal_system_new(&system, &def, NULL), "springs", "");
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-        CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_system *const system = new_system(&def);
+        dal_stepper *const stepper = start_named(system, "midpoint", 1.0, x);
         CHECK(dal_step(stepper, NULL) == 0);
         for (size_t i = 0; i < 2; i++) {
             const double c = k[i] / 4.0, exact = (0.5 * (1.0 - c) - k[i]) / (1.0 + c);
             CHECK_NEAR(dal_stepper_state(stepper)[2 + i], exact, 16 * U * fabs(exact));
         }
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -791,7 +773,7 @@ static dal_stepper *start_on_slope(slope *s, int iterations, double v, dal_syste
     const dal_system_def def = {.n = 1, .mass = mass, .potential = towards_an_end, .ctx = s};
     const dal_scheme scheme = find_scheme("midpoint");
     const dal_options options = {.max_iterations = iterations};
-    need(dal_system_new(system, &def, NULL), "slope", "");
+    *system = new_system(&def);
     dal_stepper *const stepper = open_stepper(*system, &scheme, &options);
     CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     return stepper;
@@ -819,16 +801,13 @@ static void test_halvings(void)
         CHECK(cases[j].status ? stats.halvings == 40 : stats.halvings > 0 && stats.halvings < 40);
         if (!cases[j].status)
             CHECK_NEAR(dal_stepper_state(stepper)[1], (double)exact, 8 * U * s.G);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
     slope s = {.G = 1.0, .g = 0.5}; /* where it starts is out of the domain: nothing to halve */
     dal_stepper *const stepper = start_on_slope(&s, 0, -3.0, &system);
     CHECK(dal_step(stepper, NULL) == DAL_EDOMAIN);
     dal_stepper_stats(stepper, &stats);
     CHECK(stats.full_newtons == 1 && stats.halvings == 0);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* What is said where the iterations are too few: at rest v' changes in the first by F/K with F = G
@@ -851,8 +830,7 @@ static void test_too_few_iterations(void)
             if (most == 1) CHECK_NEAR(change, first, 1e-2 * first);
             if (most == 1) CHECK_NEAR(scale, first + (s.G - s.g), 1e-2 * scale);
         }
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -880,8 +858,7 @@ static void test_led_away(void)
                              &far, &first, &scale) == 3);
         CHECK_NEAR(first, fabs(F / K), 1e-2 * first);
         CHECK(far > 2.0 * first && scale > 0.0);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -904,22 +881,17 @@ static void test_branch(void)
 {
     dal_system *const particle = open_system("particle");
     dal_system_def def = particle->def;
-    dal_system *pushed = NULL;
     def.force = no_force;
-    need(dal_system_new(&pushed, &def, NULL), "pushed", "");
-    const dal_scheme scheme = find_scheme("endpoint");
+    dal_system *const pushed = new_system(&def);
     dal_system *const systems[] = {particle, pushed};
     for (size_t j = 0; j < 2; j++)
         for (int beyond = 0; beyond < 2; beyond++) {
             const double x[6] = {0.0, -1.0, 0.0, 1.0, beyond ? 30.0 : 15.0, -1.0};
-            dal_stepper *const stepper = open_stepper(systems[j], &scheme, NULL);
-            CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            dal_stepper *const stepper = start_named(systems[j], "endpoint", 0.1, x);
             CHECK(dal_step(stepper, NULL) == (beyond ? DAL_ENOCONV : DAL_SUCCESS));
             CHECK(!beyond || strstr(dal_stepper_error(stepper)->text, DAL__BRANCH_TEXT) != NULL);
-            dal_stepper_free(stepper);
+            release(stepper);
         }
-    dal_system_free(pushed);
-    dal_system_free(particle);
 }
 
 /* Fused pairs are their sub-steps one after the other, which a force that is zero has made one by
@@ -933,16 +905,14 @@ static void test_pairs(void)
     static const double steps[] = {0.1, 0.6};
     dal_system *const system = open_system("particle_oscillator");
     dal_system_def def = system->def;
-    dal_system *pushed = NULL;
     size_t full = 0;
     def.force = no_force;
-    need(dal_system_new(&pushed, &def, NULL), "pushed", "");
+    dal_system *const pushed = new_system(&def);
     for (size_t j = 0; j < 4; j++) {
         const double h = steps[j / 2], x[6] = {0.3, -0.7, 0.2, 0.5, 2.0, -0.35};
-        dal_stepper *const one = open_stepper(system, &schemes[j % 2], NULL);
         dal_stepper *const other = open_stepper(pushed, &schemes[j % 2], NULL);
         dal_stats stats;
-        CHECK(dal_stepper_start(one, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const one = start_stepper(system, &schemes[j % 2], h, x);
         CHECK(dal_stepper_start(other, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         for (int k = 0; k < 5; k++) {
             double a[1], b[1];
@@ -953,12 +923,9 @@ static void test_pairs(void)
         }
         dal_stepper_stats(one, &stats);
         full += stats.full_newtons;
-        dal_stepper_free(one);
-        dal_stepper_free(other);
+        release(other);
     }
     CHECK(full > 0);
-    dal_system_free(pushed);
-    dal_system_free(system);
 }
 
 /* L = v^2/2 + c q v, so v stays; but K = 1 - h c of the explicit scheme may cancel. */
@@ -978,18 +945,14 @@ static int drifting(double t, const double *q, const double *v, double *L, doubl
 static void test_lost_K(void)
 {
     const double x[2] = {1.0, 0.5}, h = 0.25;
-    const dal_scheme scheme = find_scheme("explicit");
     for (int k = -2; k <= 8; k++) {
         double c = (k < 8 ? 1.0 + k * U : 0.9) / h;
         const dal_system_def def = {.n = 1, .lagrangian = drifting, .ctx = &c};
-        dal_system *system = NULL;
-        need(dal_system_new(&system, &def, NULL), "drifting", "");
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-        CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_system *const system = new_system(&def);
+        dal_stepper *const stepper = start_named(system, "explicit", h, x);
         CHECK(dal_step(stepper, NULL) == (k < 8 ? DAL_ESINGULAR : DAL_SUCCESS));
         CHECK_NEAR(dal_stepper_state(stepper)[1], 0.5, 40 * U);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -1001,14 +964,11 @@ static void test_there_and_back(void)
     const dal_scheme scheme = {.name = "there and back", .substeps = there_and_back, .count = 3};
     const double x[6] = {0.3, -0.7, 0.2, 0.5, 2.0, -0.35};
     dal_system *const system = open_system("particle_oscillator");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     dal_stats stats;
-    CHECK(dal_stepper_start(stepper, 0.0, 0.05, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_stepper *const stepper = start_stepper(system, &scheme, 0.05, x);
     CHECK(dal_advance(stepper, 10, NULL, NULL) == 0);
     dal_stepper_stats(stepper, &stats);
     CHECK(stats.full_newtons == 0);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- S = 0 but for rounding ---------------------------------------------------------------- */
@@ -1046,14 +1006,9 @@ static int grow(size_t m, double c, double h, double v, bool forced)
     const dal_system_def def = {.n = 3, .m = m, .mass = mass, .ctx = &c,
                                 .constraint = m == 1 ? growth_1 : growth_2,
                                 .force = forced ? no_force : NULL};
-    const dal_scheme scheme = find_scheme("endpoint");
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "growth", "");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-    CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_system *const system = new_system(&def);
+    dal_stepper *const stepper = start_named(system, "endpoint", h, x);
     const int status = dal_step(stepper, NULL);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
     return status;
 }
 
@@ -1114,12 +1069,9 @@ static void test_held(void)
             const dal_system_def def = {.n = HELD_N, .m = HELD_M, .mass = mass, .ctx = &k,
                                         .potential = held_potential, .constraint = held_constraint};
             const dal_scheme scheme = {.name = "held", .beta = betas[j]};
-            dal_system *system = NULL;
-            dal_error error = {0};
             dal_stats stats;
-            need(dal_system_new(&system, &def, &error), "held", error.text);
-            dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-            CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            dal_system *const system = new_system(&def);
+            dal_stepper *const stepper = start_stepper(system, &scheme, 1.0, x);
             CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
             const double *const y = dal_stepper_state(stepper);
             dal_stepper_stats(stepper, &stats);
@@ -1128,8 +1080,7 @@ static void test_held(void)
             CHECK(stats.worst_residual <= DAL_RESIDUAL_BOUND(HELD_N));
             CHECK(stats.full_newtons == (stiff ? STEPS : 0));
             CHECK(stiff || (stats.iterations <= STEPS + 2 && stats.corrections == 0));
-            dal_stepper_free(stepper);
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -1147,20 +1098,16 @@ static int no_push_on_one(double t, const double *q, const double *v, const doub
 static void test_hill(void)
 {
     const double mass[1] = {1.0}, x[2] = {0.1, 0.5}, c[2] = {0.5, 2.0};
-    const dal_scheme scheme = find_scheme("midpoint");
     for (int j = 0; j < 4; j++) {
         const bool beyond = j % 2 == 1;
         double k = -4.0 * c[j % 2];
         const dal_system_def def = {.n = 1, .mass = mass, .potential = spring, .ctx = &k,
                                     .force = j < 2 ? NULL : no_push_on_one};
-        dal_system *system = NULL;
-        need(dal_system_new(&system, &def, NULL), "hill", "");
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-        CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_system *const system = new_system(&def);
+        dal_stepper *const stepper = start_named(system, "midpoint", 1.0, x);
         CHECK(dal_step(stepper, NULL) == (beyond ? DAL_ENOCONV : DAL_SUCCESS));
         CHECK(!beyond || strstr(dal_stepper_error(stepper)->text, DAL__BRANCH_TEXT) != NULL);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -1180,8 +1127,6 @@ static void test_consistent(void)
     for (size_t j = 0; j < 4; j++)
         CHECK(dal_stepper_start(stepper, 0.0, 0.1, x[j], DAL_CHECK, DAL_INITIAL_NONE)
               == expected[j]);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 static int growing_force(double t, const double *q, const double *v, const double *u, double *f,
@@ -1198,9 +1143,8 @@ static void test_times(void)
     enum { ROWS = 3 };
     dal_system *const particle = open_system("particle");
     dal_system_def def = particle->def;
-    dal_system *pushed = NULL;
     def.force = growing_force;
-    need(dal_system_new(&pushed, &def, NULL), "pushed", "");
+    dal_system *const pushed = new_system(&def);
     dal_mechanics *const mechanics = open_mechanics(pushed);
     const double x[ROWS][6] = {{0.0, 0.5, 0.0, 1.0, 0.2, 0.5}, {0.0, 0.5, 0.0, 1.0, 0.2, 0.5},
                                {0.0, 0.5, 0.0, 1.0, 0.2, 0.5}};
@@ -1212,9 +1156,6 @@ static void test_times(void)
         CHECK(lambda[k] == expected);
     }
     CHECK_NEAR(lambda[0] - lambda[2], 1.0 / 1.25, 8 * U); /* -mu_z f_z / (1 + y^2) */
-    dal_mechanics_free(mechanics);
-    dal_system_free(pushed);
-    dal_system_free(particle);
 }
 
 /* ---- what Newton's steps say ---------------------------------------------------------------- */

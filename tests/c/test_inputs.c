@@ -40,10 +40,7 @@ static dal_system *open_cart(const double *wrong)
     const dal_system_def def = {.n = N, .m = 1, .mass = mass, .constraint = plane_blade,
                                 .force = motors, .inputs = INPUTS, .input_names = names,
                                 .name = "cart", .state = start, .ctx = (void *)wrong};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "cart", error.text);
-    return system;
+    return new_system(&def);
 }
 
 static dal_stepper *started(const dal_system *system, const char *scheme, double h)
@@ -116,8 +113,6 @@ static double error_of(const dal_system *system, const char *scheme, double T, s
           == 0);
     *balance = fabs(energy[1] - energy[0] - work);
     const double error = largest_difference(6, row + 6, x);
-    dal_stepper_free(stepper);
-    dal_mechanics_free(mechanics);
     return error;
 }
 
@@ -187,7 +182,7 @@ static void check_ways(const dal_system *system, const char *scheme, size_t stri
         while (run.done < STEPS) CHECK(dal_run_go(&run, budgets[way]) == DAL_SUCCESS);
         CHECK(self.calls == (way ? (int)holds : 0));
         CHECK(!way || memcmp(written, inputs, holds * INPUTS * sizeof *inputs) == 0);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     dal_stepper *const stepper = started(system, scheme, 0.05);
     memcpy(rows[3], start, sizeof start);
@@ -199,7 +194,6 @@ static void check_ways(const dal_system *system, const char *scheme, size_t stri
         if ((k + 1) % stride == 0)
             memcpy(rows[3] + (k + 1) / stride * 6, dal_stepper_state(stepper), sizeof start);
     }
-    dal_stepper_free(stepper);
     const size_t used = STEPS / stride;
     for (size_t way = 1; way < 4; way++)
         CHECK(memcmp(rows[way], rows[0], (used + 1) * 6 * sizeof(double)) == 0);
@@ -271,21 +265,17 @@ static void test_geometry(const dal_system *system)
           && dal_mechanics_input(NULL, u) == DAL_EINVAL);
     CHECK(dal_multipliers(mechanics, 0, start, multipliers) == 0);
     CHECK_NEAR(multipliers[0], lambda, 32 * U);
-    dal_mechanics_free(mechanics);
 
-    dal_chart *chart = NULL;
     double xi[5], xidot[5], dropped[5];
-    need(dal_chart_new(&chart, system, NULL), "chart", "");
+    dal_chart *const chart = open_chart(system);
     CHECK(dal_chart_choose(chart, 0.0, NULL, start) == 0 && dal_chart_drop(chart, start, xi) == 0
           && dal_chart_drop(chart, xdot, dropped) == 0);
     CHECK(dal_chart_input(chart, u) == 0 && dal_chart_field(chart, 0.0, xi, xidot) == 0);
     CHECK_NEAR(largest_difference(5, xidot, dropped), 0.0, 64 * U);
     CHECK(dal_chart_input(NULL, u) == DAL_EINVAL && dal_chart_input(chart, bad) == DAL_EINVAL);
-    dal_chart_free(chart);
 
-    dal_flow *flow = NULL;
     double x[6], end[6], work;
-    need(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_XI, 1e-13, NULL), "flow", "");
+    dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_XI, 1e-13);
     memcpy(x, start, sizeof x);
     for (size_t k = 0; k < HOLDS; k++)
         CHECK(dal_flow_input(flow, table + k * INPUTS) == 0
@@ -293,7 +283,6 @@ static void test_geometry(const dal_system *system)
     expect(0.5, end, &work);
     CHECK_NEAR(largest_difference(6, x, end), 0.0, 1e-12);
     CHECK(dal_flow_input(NULL, u) == DAL_EINVAL && dal_flow_input(flow, bad) == DAL_EINVAL);
-    dal_flow_free(flow);
 }
 
 /* A pair with maps of the user's own is the pair of the same maps by name. */
@@ -315,7 +304,6 @@ static void test_own_maps(const dal_system *system)
                                       dal_stepper_state(steppers[1])), 0.0, 64 * U);
         CHECK_NEAR(reactions[0], reactions[1], 1e-12);
     }
-    for (int i = 0; i < 2; i++) dal_stepper_free(steppers[i]);
 }
 
 static int no_change(double t, const double *q, const double *v, double *g, double *g_v,
@@ -330,20 +318,17 @@ static int no_change(double t, const double *q, const double *v, double *g, doub
 
 static void test_deformed(const dal_system *system)
 {
-    dal_system *deformed = NULL;
     double fields[2][6];
-    const dal_system *const systems[] = {system, NULL};
-    need(dal_system_deform(&deformed, system, no_change, NULL, 0.5, DAL_AFFINE, 0, NULL), "d", "");
+    dal_system *const deformed = open_deformed(system, no_change, NULL, 0.5, DAL_AFFINE, 0);
     CHECK(dal_system_inputs(deformed) == INPUTS
           && strcmp(dal_system_input_name(deformed, 2), "wind") == 0);
     for (int i = 0; i < 2; i++) {
-        dal_mechanics *const mechanics = open_mechanics(i ? deformed : systems[0]);
+        dal_mechanics *const mechanics = open_mechanics(i ? deformed : system);
         CHECK(dal_mechanics_input(mechanics, table) == 0
               && dal_field(mechanics, 0.0, start, fields[i]) == 0);
-        dal_mechanics_free(mechanics);
+        release(mechanics);
     }
     CHECK_NEAR(largest_difference(6, fields[0], fields[1]), 0.0, 16 * U);
-    dal_system_free(deformed);
 }
 
 /* A derivative of the force is wrong only with inputs. */
@@ -355,7 +340,7 @@ static void test_check(void)
         dal_check report;
         CHECK(dal_system_check(system, 0.0, start, &report, NULL) == DAL_SUCCESS);
         CHECK(report.passed == !i && (!i || strstr(report.finding.text, "f_q[0,2]") != NULL));
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -375,7 +360,6 @@ static void test_failures(const dal_system *system)
     CHECK(dal_stepper_input(other, table) == 0 && dal_step(other, NULL) == 0
           && dal_step(stepper, NULL) == 0);
     CHECK(memcmp(dal_stepper_state(stepper), dal_stepper_state(other), sizeof start) == 0);
-    dal_stepper_free(other);
 
     memcpy(before, dal_stepper_state(stepper), sizeof before);
     controller self = {.hold = 1};
@@ -388,7 +372,6 @@ static void test_failures(const dal_system *system)
     CHECK(dal_run_go(&run, SIZE_MAX) == DAL_EINVAL && run.done == 3);
     CHECK(strcmp(dal_stepper_error(stepper)->text,
                  "the inputs of step 5 (t = 0.2): u[0] = nan is not finite") == 0);
-    dal_stepper_free(stepper);
 
     static const int answers[] = {2, -3, 0};
     static const int statuses[] = {DAL_STOPPED, DAL_EUSER, DAL_EINVAL};
@@ -402,7 +385,7 @@ static void test_failures(const dal_system *system)
         CHECK(run.done == (i == 2 ? 0 : 4));
         if (i == 1)
             CHECK(strcmp(dal_stepper_error(asked)->text, "control returned -3 at step 4") == 0);
-        dal_stepper_free(asked);
+        release(asked);
     }
 
     dal_system *const none = open_system("knife_edge");
@@ -412,8 +395,6 @@ static void test_failures(const dal_system *system)
           && strstr(dal_stepper_error(without)->text, "but the system has no inputs") != NULL);
     CHECK(dal_stepper_input(without, NULL) == DAL_SUCCESS); /* none are none */
     CHECK(dal_system_inputs(none) == 0 && dal_system_input_name(none, 0) == NULL);
-    dal_stepper_free(without);
-    dal_system_free(none);
 }
 
 static void test_definition(const dal_system *system)
@@ -425,9 +406,8 @@ static void test_definition(const dal_system *system)
           && strcmp(error.text, "inputs = 2, but force and driven are NULL: expected one of "
                     "them, or inputs = 0") == 0);
     def.force = motors;
-    CHECK(dal_system_new(&other, &def, &error) == DAL_SUCCESS);
+    other = new_system(&def);
     CHECK(strcmp(dal_system_input_name(other, 1), "u1") == 0);
-    dal_system_free(other);
     CHECK(dal_system_inputs(system) == INPUTS && dal_system_input_name(system, INPUTS) == NULL);
     CHECK(strcmp(dal_system_input_name(system, 0), "push") == 0);
 }
@@ -483,7 +463,7 @@ static void test_driven(void)
           && strcmp(error.text, "m = 0, but driven is not NULL") == 0);
     def.m = 1;
     def.kind = DAL_AFFINE;
-    CHECK(dal_system_new(&system, &def, &error) == DAL_SUCCESS);
+    system = new_system(&def);
     CHECK(dal_system_is_driven(system) == 1 && dal_system_is_forced(system) == 0);
     CHECK(dal_system_deform_nodes(&bent, system, 0.1, &error) == DAL_EUNSUPPORTED);
     dal_stepper *stepper = NULL;
@@ -517,9 +497,7 @@ static void test_driven(void)
     CHECK(inputs[0] == 2.0 && inputs[1] == 3.0 && inputs[2] == 4.0);
     CHECK(rows[4] == 1.0 && rows[8] == 2.5 && rows[12] == 4.5 && rows[14] == 4.0);
     CHECK(fabs(reactions[0] - 3.0) < 1e-14 && fabs(reactions[1] - 5.0) < 1e-14);
-    dal_stepper_free(stepper);
     free(saved);
-    dal_system_free(system);
 }
 
 int main(void)
@@ -533,7 +511,6 @@ int main(void)
     test_check();
     test_failures(system);
     test_definition(system);
-    dal_system_free(system);
     test_driven();
     return check_done();
 }

@@ -5,30 +5,17 @@
 
 static const double two_pi = 6.28318530717958647693;
 
-static dal_system *open_with(const char *name, size_t count, const char *const *names,
-                             const double *values)
-{
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_builtin(&system, name, names, values, count, &error), name, error.text);
-    return system;
-}
-
 static dal_system *open_trailers(double trailers)
 {
     static const char *const names[] = {"trailers", "d", "m", "J"};
-    return open_with("n_trailer", 4, names, (const double[]){trailers, 0.8, 1.3, 0.4});
+    return open_builtin("n_trailer", 4, names, (const double[]){trailers, 0.8, 1.3, 0.4});
 }
 
 /* x[2n] <- the state a time t later, by the reference flow. */
 static void flow_by(const dal_system *system, double t, double *x)
 {
-    dal_flow *flow = NULL;
-    dal_error error = {0};
-    need(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, &error), "flow",
-         error.text);
+    dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
     need(dal_flow_apply(flow, 0.0, t, x, NULL), "flow", dal_flow_error(flow)->text);
-    dal_flow_free(flow);
 }
 
 /* The error per unit of time that a tolerance of 1e-13 leaves, with a margin of 10. */
@@ -43,7 +30,7 @@ static void test_steady_circle(void)
                                       {1.6, 0.7, 0.4, 0.9, 2.1},
                                       {1.0, 1.0, 0.2, 0.3, 0.0}};
     for (size_t k = 0; k < 3; k++) {
-        dal_system *system = open_with("rolling_disc", 5, names, sets[k]);
+        dal_system *system = open_builtin("rolling_disc", 5, names, sets[k]);
         double start[10];
         need(dal_system_state(system, start), "rolling_disc", "");
         const double r = sets[k][1], lean = start[3], yaw = start[7], spin = start[9];
@@ -64,7 +51,7 @@ static void test_steady_circle(void)
             CHECK_NEAR(x[3], lean, 1e-12);
             CHECK_NEAR(largest_difference(10, x, circle), 0.0, flow_tolerance * scale);
         }
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -74,8 +61,8 @@ static void test_two_points_of_the_sleigh(void)
     static const char *const names[] = {"m", "J", "a"};
     static const double sets[3][3] = {{1.5, 0.8, 0.4}, {0.6, 1.7, -0.9}, {1.0, 1.0, 1.0}};
     for (size_t k = 0; k < 3; k++) {
-        dal_system *centre = open_with("sleigh", 3, names, sets[k]);
-        dal_system *blade = open_with("sleigh_contact", 3, names, sets[k]);
+        dal_system *centre = open_builtin("sleigh", 3, names, sets[k]);
+        dal_system *blade = open_builtin("sleigh_contact", 3, names, sets[k]);
         dal_mechanics *of_centre = open_mechanics(centre), *of_blade = open_mechanics(blade);
         const double a = sets[k][2];
         for (double t = 0.0; t < 5.0; t += 1.25) {
@@ -98,10 +85,7 @@ static void test_two_points_of_the_sleigh(void)
                                      y[4] + a * c * y[5], y[5]};
             CHECK_NEAR(largest_difference(6, x, moved), 0.0, 64 * U * (1 + sum_of_sizes(6, x)));
         }
-        dal_mechanics_free(of_blade);
-        dal_mechanics_free(of_centre);
-        dal_system_free(blade);
-        dal_system_free(centre);
+        release(centre);
     }
 }
 
@@ -155,7 +139,7 @@ static void test_axles(void)
             sum += (mass * (vx * vx + vy * vy) + J * turn * turn) / 2;
         }
         CHECK_NEAR(L, sum, 1e-12 * (double)m * (1 + sum));
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -182,7 +166,7 @@ static void test_turning_train(void)
         flow_by(system, two_pi / turn, y);
         for (size_t i = 2; i < n; i++) x[i] += two_pi;
         CHECK_NEAR(largest_difference(2 * n, x, y), 0.0, 10 * flow_tolerance * two_pi / turn);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -192,7 +176,7 @@ static void test_ball(void)
 {
     static const char *const names[] = {"Omega"};
     for (double Omega = -1.5; Omega <= 1.5; Omega += 1.5) {
-        dal_system *system = open_with("ball_on_table", 1, names, &Omega);
+        dal_system *system = open_builtin("ball_on_table", 1, names, &Omega);
         double start[10], x[10], y[10];
         need(dal_system_state(system, start), "ball_on_table", "");
         const double period = Omega == 0.0 ? 2.0 : 3.5 * two_pi / fabs(Omega);
@@ -207,7 +191,7 @@ static void test_ball(void)
         }
         CHECK_NEAR(y[4], start[4] + period * start[9], 64 * U * (1 + period));
         CHECK(y[9] == start[9]);
-        dal_system_free(system);
+        release(system);
     }
 }
 

@@ -60,10 +60,7 @@ static dal_system *open_track(track *a)
     const dal_system_def def = {.n = N, .m = 1, .mass = mass, .constraint = constraint, .ctx = a,
                                 .kind = is_nonlinear(a->shape) ? DAL_NONLINEAR : DAL_AFFINE,
                                 .time_dependent = is_timed(a->shape), .name = "track"};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "track", error.text);
-    return system;
+    return new_system(&def);
 }
 
 static track plain(shape shape, double c)
@@ -124,7 +121,6 @@ static double residual_at(const dal_system *system, double t, double shift, cons
     dal_mechanics *const mechanics = open_mechanics(system);
     double found = NAN;
     CHECK(dal_relative_residual(mechanics, t, shift, x, &found) == DAL_SUCCESS);
-    dal_mechanics_free(mechanics);
     return found;
 }
 
@@ -158,9 +154,8 @@ static void test_motions(shape shape, double c, const char *scheme, double toler
         total.constraint_calls += stats.constraint_calls;
         total.full_newtons += stats.full_newtons;
         total.corrections += stats.corrections;
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* The residual is |phi| over the sum of |mu| |v|, |phi - mu v|, |phi_q| |q| and |phi_t t|, whatever
@@ -181,7 +176,7 @@ static void test_residual(void)
         dal_system *system = open_track(&a);
         const double found = residual_at(system, t, 0.0, x);
         CHECK_NEAR(found, fabs(phi) / (size + moves), 1e-15);
-        dal_system_free(system);
+        release(system);
         a.unit[1] = 0x1p40; /* scaled by powers of two it has the same bits */
         a.unit[2] = 0x1p-30;
         a.row = 0x1p70;
@@ -189,14 +184,13 @@ static void test_residual(void)
         for (size_t i = 0; i < 2 * N; i++) y[i] = x[i] / a.unit[i % N];
         system = open_track(&a);
         CHECK(residual_at(system, t, 0.0, y) == found);
-        dal_system_free(system);
+        release(system);
     }
     track a = plain(RAMP, 20.0);
     dal_system *system = open_track(&a);
     const double moved = 0.75 + 40.0 + 2.0 * (70.0 + shift * 0.5);
     const double scale = speed + moved - 0.75 + 2.0 * reach;
     CHECK_NEAR(residual_at(system, t, shift, x), moved / scale, 1e-15);
-    dal_system_free(system);
     /* a blade after 10^4 turns */
     const double turns = 1e4 * 2.0 * acos(-1.0) + 0.3, at[2 * N] = {0, 0, turns, 0.5, 0.25, 2.0};
     system = open_system("uneven_edge");
@@ -210,7 +204,6 @@ static void test_residual(void)
         CHECK_NEAR(residual_at(system, 0.0, kept * shift, at),
                    form / (size + kept * slope * (heading + back)), 1e-14 * form);
     }
-    dal_system_free(system);
 }
 
 /* What phi does not depend on hides no error, however large it is. */
@@ -226,9 +219,6 @@ static void test_tight(void)
     CHECK(dal_stepper_start(stepper, 1e15, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EOFFD);
     CHECK(dal_project(mechanics, 1e15, 0.0, x, &moved) == DAL_SUCCESS);
     CHECK(x[5] == 0.5);
-    dal_stepper_free(stepper);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* Velocities are found by projection, without many passes, and in a chart; and what is a rounding
@@ -238,12 +228,11 @@ static void test_velocities(shape shape, double c)
     track a = plain(shape, c);
     dal_system *const system = open_track(&a);
     dal_mechanics *const mechanics = open_mechanics(system);
-    dal_chart *chart = NULL;
     double x[2 * N], xi[2 * N], size;
     const double t = begin(&a, x) + (is_timed(shape) ? 0.3 : 0.0);
     if (!is_timed(shape)) x[1] += 0.3;
     x[5] = 0.9;
-    need(dal_chart_new(&chart, system, NULL), "chart", "");
+    dal_chart *const chart = open_chart(system);
     CHECK(dal_chart_choose(chart, t, (size_t[]){2}, x) == DAL_SUCCESS);
     CHECK(dal_project(mechanics, t, 0.0, x, NULL) == DAL_SUCCESS);
     CHECK(mechanics->eval.constraint_calls <= 16);
@@ -257,10 +246,6 @@ static void test_velocities(shape shape, double c)
     double t0 = begin(&a, x), *const rounded = is_timed(shape) ? &t0 : &x[1];
     *rounded = nextafter(*rounded, HUGE_VAL);
     CHECK(dal_stepper_start(stepper, t0, 0.01, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_SUCCESS);
-    dal_stepper_free(stepper);
-    dal_chart_free(chart);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* Units that are powers of two change no bit of a motion, nor of its residual. */
@@ -281,8 +266,7 @@ static void test_units(shape shape)
         dal_stepper_stats(stepper, &stats[scaled]);
         for (size_t i = 0; i < 2 * N; i++)
             x[scaled][i] = dal_stepper_state(stepper)[i] * a.unit[i % N];
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
     CHECK(memcmp(x[0], x[1], sizeof x[0]) == 0);
     CHECK(stats[0].worst_residual == stats[1].worst_residual);
@@ -308,8 +292,6 @@ static void test_controlled_steps(void)
         dal_stepper_stats(stepper, &stats);
     }
     CHECK(status == DAL_SUCCESS && stats.steps < MOST && stats.uncontrolled > 0);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 int main(void)

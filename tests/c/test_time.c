@@ -156,10 +156,7 @@ static dal_system_def definition(const variety *a, unsigned missing)
 static dal_system *open_skate(const variety *a, unsigned missing)
 {
     const dal_system_def def = definition(a, missing);
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), a->name, error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* A state of D at time t. */
@@ -215,8 +212,7 @@ static void test_mechanics(const variety *a)
         double C;
         CHECK(dal_gram(mechanics, t, x, &C) == 0);
         CHECK_NEAR(C, 1.0 / (size * m), 1e-15);
-        dal_mechanics_free(mechanics);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -247,8 +243,6 @@ static void test_projections(const variety *a)
     CHECK(fmax(relative[0], relative[1]) <= 4.0 * N * U);
     CHECK(dal_energy(mechanics, t + 0.4, rows[1], &E) == 0 && E == energy[1]);
     CHECK(dal_multipliers(mechanics, t + 0.4, rows[1], &other) == 0 && other == lambda[1]);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* ---- the flow and charts -------------------------------------------------------------------- */
@@ -263,8 +257,7 @@ static void test_flow(const variety *a)
     dal_mechanics *const mechanics = open_mechanics(system);
     state_at(&a->s, 0.0, x0);
     for (int k = 0; k < 2; k++) {
-        dal_flow *flow = NULL;
-        need(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, both[k], 1e-13, NULL), "flow", "");
+        dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, both[k], 1e-13);
         memcpy(x, x0, sizeof x0);
         CHECK(dal_flow_apply(flow, 0.0, t1, x, &accuracy) == 0 && accuracy < 1e-11);
         CHECK(dal_system_exact(system, t1, x0, expected) == 0);
@@ -284,10 +277,8 @@ static void test_flow(const variety *a)
         CHECK(dal_exact_velocity(flow, h, h, expected, x, v0, &defect) == 0);
         CHECK_NEAR(largest_difference(N, v0, expected + N), 0.0, 1e-10);
         CHECK_NEAR(defect, 0.0, 1e-10);
-        dal_flow_free(flow);
+        release(flow);
     }
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 static void test_chart(const variety *a)
@@ -296,11 +287,10 @@ static void test_chart(const variety *a)
     const size_t y = 1;
     dal_system *const system = open_skate(a, 0);
     dal_mechanics *const mechanics = open_mechanics(system);
-    dal_chart *chart = NULL;
     double x[2 * N], z[2 * N], xi[2 * N - 1], xidot[2 * N - 1], xdot[2 * N], A[2], B, J[2 * N * 5];
     double hor[N], ver[N], lambda, condition;
     int changed;
-    need(dal_chart_new(&chart, system, NULL), "chart", "");
+    dal_chart *const chart = open_chart(system);
     state_at(&a->s, t, x);
     const double psi = x[2] + a->s.turn * t;
     CHECK(dal_chart_choose(chart, t, &y, x) == 0 && dal_chart_drop(chart, x, xi) == 0);
@@ -333,10 +323,6 @@ static void test_chart(const variety *a)
     CHECK(dal_step(stepper, NULL) == 0 && dal_chart_step(chart, t, 0.3, h, xi, NULL) == 0);
     CHECK(dal_chart_lift(chart, t + h, xi, z) == 0);
     CHECK_NEAR(largest_difference(2 * N, dal_stepper_state(stepper), z), 0.0, 1e-14);
-    dal_stepper_free(stepper);
-    dal_chart_free(chart);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* Between rows of the exact solution, also of those of kept nodes: in D of their own time, with an
@@ -346,8 +332,7 @@ static void test_interpolation(const variety *a)
     enum { ROWS = 9, TIMES = 5 };
     dal_system *const system = open_skate(a, 0);
     dal_mechanics *const mechanics = open_mechanics(system);
-    dal_chart *chart = NULL;
-    need(dal_chart_new(&chart, system, NULL), "chart", "");
+    dal_chart *const chart = open_chart(system);
     for (double shift = 0.0; shift < 0.03; shift += 0.02) {
         double worst[2] = {0.0, 0.0};
         for (int k = 0; k < 2; k++) {
@@ -370,9 +355,6 @@ static void test_interpolation(const variety *a)
         }
         CHECK(worst[0] < 1e-3 && worst[1] < worst[0] / 8.0);
     }
-    dal_chart_free(chart);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* ---- steps ---------------------------------------------------------------------------------- */
@@ -429,10 +411,9 @@ static size_t test_one_step(const variety *a)
             }
             dal_stepper_stats(stepper, &stats);
             if (by != BY_MULTIROOT) full += stats.full_newtons;
-            dal_stepper_free(stepper);
+            release(stepper);
         }
     }
-    dal_system_free(system);
     return full;
 }
 
@@ -454,8 +435,6 @@ static void test_fused(void)
     for (size_t i = 0; i < N; i++)
         CHECK_NEAR(mass[4 * i] * (z[N + i] - x[N + i]),
                    h * mu[i] * lambda + (i == 0 ? h * m * gravity(t + 0.5 * h) : 0.0), 1e-14);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* The states of a long run lie in the D of their own time, late and early, whoever makes the steps,
@@ -490,13 +469,11 @@ static void test_runs(const variety *a)
                 }
                 CHECK(worst <= 4.0 * N * U);
                 memcpy(end[by], dal_stepper_state(stepper), sizeof end[by]);
-                dal_stepper_free(stepper);
+                release(stepper);
             }
             CHECK(memcmp(end[BY_LIBRARY], end[BY_ANY_SIZES], sizeof *end) == 0);
             CHECK_NEAR(largest_difference(2 * N, end[BY_LIBRARY], end[BY_MULTIROOT]), 0.0, 1e-10);
         }
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* The two that say the same take the same steps. */
@@ -511,8 +488,7 @@ static void test_same_steps(void)
         CHECK(dal_stepper_start(stepper, 0.5, 0.05, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_advance(stepper, 100, NULL, NULL) == 0);
         memcpy(end[k], dal_stepper_state(stepper), sizeof end[k]);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
     CHECK_NEAR(largest_difference(2 * N, end[0], end[1]), 0.0, 1e-11);
 }
@@ -547,7 +523,6 @@ static void test_orders(const variety *a)
             CHECK(order.reference < 1e-11 && (late || scheme.nodes == DAL_KEPT_NODES
                                               || order.reference == 0.0));
         }
-    dal_system_free(system);
 }
 
 /* ---- pairs of nodes ------------------------------------------------------------------------- */
@@ -558,8 +533,7 @@ static void test_discrete(const variety *a, double alpha, double beta)
     const double t = 0.8, h = 0.1;
     dal_system *const system = open_skate(a, 0);
     const dal_difference_map of_L = {.beta = alpha}, of_D = {.beta = beta};
-    dal_discrete *d = NULL;
-    need(dal_discrete_new(&d, system, &of_L, &of_D, NULL), "discrete", "");
+    dal_discrete *const d = open_discrete(system, of_L, &of_D);
     double x[2 * N], y[2 * N], q0[N], q1[N], lambda, phi, plus[N], minus[N], mu[N], D1[N], D2[N];
     double L, L_d, g[N], residual[N + 1];
     state_at(&a->s, t, x);
@@ -601,7 +575,6 @@ static void test_discrete(const variety *a, double alpha, double beta)
     CHECK(dal_stepper_start(stepper, t, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     CHECK(dal_step(stepper, NULL) == 0);
     CHECK_NEAR(largest_difference(2 * N, dal_stepper_state(stepper), y), 0.0, 1e-13);
-    dal_stepper_free(stepper);
     /* a run is these steps; its first pair has to lie in the D_d of its own time */
     double nodes[4 * N], matrix[(N + 1) * (N + 1)];
     memcpy(nodes, q0, sizeof q0);
@@ -615,8 +588,6 @@ static void test_discrete(const variety *a, double alpha, double beta)
     CHECK(dal_discrete_regularity(d, t, h, q1, after, matrix, NULL, NULL, NULL) == 0);
     if (a->kind != DAL_NONLINEAR)
         for (size_t i = 0; i < N; i++) CHECK_NEAR(matrix[i * (N + 1) + N], mu[i], 1e-15);
-    dal_discrete_free(d);
-    dal_system_free(system);
 }
 
 /* ---- deformations --------------------------------------------------------------------------- */
@@ -640,20 +611,17 @@ static void test_deformed(const variety *a)
     for (int k = 0; k < 3; k++) {
         dal_system *system = NULL;
         dal_check check;
-        need(k == 2 ? dal_system_deform_nodes(&system, base, 0.1, NULL)
-                    : dal_system_deform(&system, base, swing, NULL, 0.3, a->kind,
-                                        k ? DAL_MISSING_PHI_T : 0, NULL), a->name, "deform");
+        system = k == 2 ? open_deformed_nodes(base, 0.1)
+                        : open_deformed(base, swing, NULL, 0.3, a->kind, k ? DAL_MISSING_PHI_T : 0);
         dal_mechanics *const mechanics = open_mechanics(system);
         state_at(&a->s, t, x);
         CHECK(dal_project(mechanics, t, 0.0, x, NULL) == 0);
         CHECK(dal_system_check(system, t, x, &check, NULL) == 0 && check.passed);
         CHECK(check.phi_t.checked == (k != 1) && check.phi_t.error < 1e-8);
         CHECK(dal_multipliers(mechanics, t, x, &lambda[k]) == 0);
-        dal_mechanics_free(mechanics);
-        dal_system_free(system);
+        release(system);
     }
     CHECK_NEAR(lambda[0], lambda[1], 1e-10);
-    dal_system_free(base);
 }
 
 /* ---- the check, and what is refused ---------------------------------------------------------- */
@@ -667,12 +635,11 @@ static void test_check(const variety *a)
     state_at(&a->s, t, x);
     for (int wrong = 0; wrong < 4; wrong++) {
         dal_system_def def = definition(&b, 0);
-        dal_system *system = NULL;
         b.s = a->s;
         if (wrong == 1) b.s.blind_phi = 1e-3;
         if (wrong == 2) b.s.blind_L = 1e-3;
         if (wrong == 3) def.time_dependent = 0;
-        need(dal_system_new(&system, &def, NULL), a->name, "");
+        dal_system *const system = new_system(&def);
         CHECK(dal_system_check(system, t, x, &check, NULL) == 0);
         CHECK(check.passed == (wrong == 0 || (wrong == 2 && !a->general)));
         if (wrong == 0) CHECK(check.phi_t.checked && check.L_vt.checked == a->general);
@@ -680,7 +647,7 @@ static void test_check(const variety *a)
         if (wrong == 2 && a->general)
             CHECK(strstr(check.finding.text, "L_vt[") && check.L_vt.wrong);
         if (wrong == 3) CHECK(strstr(check.finding.text, "declare the system time_dep") != NULL);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -699,7 +666,6 @@ static void test_undeclared(void)
     for (int k = 0; k < 4; k++) {
         const variety *const a = &varieties[k < 2 ? 0 : 4];
         dal_system_def def = definition(a, 0);
-        dal_system *system = NULL;
         dal_check check;
         def.time_dependent = 0;
         if (k != 1) def.constraint = still_constraint;
@@ -708,11 +674,11 @@ static void test_undeclared(void)
             def.lagrangian = NULL;
             def.potential = NULL;
         }
-        need(dal_system_new(&system, &def, NULL), "undeclared", "");
+        dal_system *const system = new_system(&def);
         state_at(&a->s, 0.0, x);
         CHECK(dal_system_check(system, 0.0, x, &check, NULL) == 0 && check.passed == (k == 3));
         if (k < 3) CHECK(strncmp(check.finding.text, words[k], strlen(words[k])) == 0);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -730,18 +696,12 @@ static void test_energy(void)
 {
     const dal_system_def def = {.n = 1, .mass = (double[]){1.0}, .potential = pull,
                                 .time_dependent = 1};
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_system *system = NULL;
     dal_stats stats;
-    need(dal_system_new(&system, &def, NULL), "pull", "");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-    CHECK(dal_stepper_start(stepper, 0.0, 0.01, (double[]){1.0, 0.0}, DAL_CHECK, DAL_INITIAL_NONE)
-          == 0);
+    dal_system *const system = new_system(&def);
+    dal_stepper *const stepper = start_named(system, "midpoint", 0.01, (double[]){1.0, 0.0});
     CHECK(dal_advance(stepper, 128, NULL, NULL) == 0);
     dal_stepper_stats(stepper, &stats);
     CHECK(dal_stepper_state(stepper)[1] > 40.0 && stats.jump_step == 0);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 static void test_refused(void)
@@ -777,8 +737,6 @@ static void test_refused(void)
     CHECK(dal_system_invariant(system, NAN, x, out) == DAL_EINVAL);
     dal_check check;
     CHECK(dal_system_check(system, NAN, x, &check, &error) == DAL_EINVAL);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 int main(void)

@@ -92,20 +92,10 @@ static subject open_subject(const vector_system *is, int kind)
     const dal_system_def def = {.n = s.n, .m = s.m, .mass = is->mass, .potential = is->potential,
                                 .lagrangian = is->lagrangian,
                                 .constraint = s.m > 0 ? is->constraint : NULL};
-    dal_error error = {0};
-    const int status = kind == BUILTIN
-                           ? dal_system_builtin(&s.system, is->builtin, NULL, NULL, 0, &error)
-                           : dal_system_new(&s.system, &def, &error);
-    check_true(status == 0, error.text, is->name, __LINE__);
-    CHECK(dal_mechanics_new(&s.mechanics, s.system, NULL) == 0);
+    s.system = kind == BUILTIN ? open_system(is->builtin) : new_system(&def);
+    s.mechanics = open_mechanics(s.system);
     CHECK(dal_system_n(s.system) == s.n && dal_system_m(s.system) == s.m);
     return s;
-}
-
-static void close_subject(const subject *s)
-{
-    dal_mechanics_free(s->mechanics);
-    dal_system_free(s->system);
 }
 
 /* ---- comparisons -------------------------------------------------------------------------- */
@@ -217,8 +207,7 @@ static void check_run(const subject *s, const run_vector *r)
                                                        ? DAL_MOVED_NODES : DAL_KEPT_NODES};
     if (r->scheme) check_in(where, r->scheme, dal_scheme_find(&scheme, r->scheme, &error) == 0);
     for (way by = 0; by < WAYS; by++) {
-        const int status = new_stepper_by(by, &stepper[by], s->system, &scheme, &error);
-        check_in(where, error.text, status == 0);
+        stepper[by] = open_stepper_by(by, s->system, &scheme);
         check_in(where, dal_stepper_error(stepper[by])->text,
                  dal_stepper_start(stepper[by], 0.0, r->h, r->x, DAL_ASSUME, r->initial) == 0);
     }
@@ -241,7 +230,7 @@ static void check_run(const subject *s, const run_vector *r)
     /* At most 16 without the Hessian of V, and 6 with it, which converge quadratically. */
     dal_stepper_stats(stepper[BY_LIBRARY], &stats);
     check_in(where, "22 iterations of Newton are enough", stats.iterations <= 22 * stats.substeps);
-    for (way by = 0; by < WAYS; by++) dal_stepper_free(stepper[by]);
+    release(stepper[0]);
 }
 
 /* ---- formulas ----------------------------------------------------------------------------- */
@@ -331,9 +320,8 @@ static void check_chart(const subject *s, const chart_vector *c)
     const size_t n = s->n, m = s->m;
     double x[2 * N] = {0.0}, A[M * N], B[M * M], v_dep[M], lambda[M], lambda_E[M];
     char where[80];
-    dal_chart *chart = NULL;
     snprintf(where, sizeof where, "ehresmann of %s (%s)", c->system, s->kind);
-    CHECK(dal_chart_new(&chart, s->system, NULL) == 0);
+    dal_chart *const chart = open_chart(s->system);
     memcpy(x, c->xi, n * sizeof *x);
     const char *const text = dal_chart_error(chart)->text;
     check_in(where, text, dal_chart_choose(chart, 0.0, c->dependent, x) == 0);
@@ -349,7 +337,6 @@ static void check_chart(const subject *s, const chart_vector *c)
     compare(where, "multipliers of [A, I]", m, lambda_E, c->multipliers_E);
     CHECK(dal_chart_multipliers_back(chart, 0.0, x, c->multipliers_E, lambda) == 0);
     compare(where, "multipliers and back", m, lambda, c->multipliers);
-    dal_chart_free(chart);
 }
 
 /* What passes through the nodes loses u |q|/h of v, and that once more by h of lambda. */
@@ -358,11 +345,10 @@ static void check_node(const subject *s, const node_vector *p)
     const dal_difference_map map = {.beta = p->beta};
     const size_t n = s->n, m = s->m;
     double q0[N], q1[N], lambda[M], residual[N + M], zero[N + M] = {0.0};
-    dal_discrete *discrete = NULL;
     char where[80];
     snprintf(where, sizeof where, "node of %s (%s), beta %g, h %g", p->system, s->kind, p->beta,
              p->h);
-    CHECK(dal_discrete_new(&discrete, s->system, &map, NULL, NULL) == 0);
+    dal_discrete *const discrete = open_discrete(s->system, map, NULL);
     memcpy(q0, p->before, sizeof q0);
     memcpy(q1, p->q, sizeof q1);
     check_in(where, dal_discrete_error(discrete)->text,
@@ -373,7 +359,6 @@ static void check_node(const subject *s, const node_vector *p)
     CHECK(dal_discrete_residual(discrete, 0.0, p->h, p->before, p->q, p->after, p->multipliers,
                                 residual) == 0);
     compare_within(64 * u / fabs(p->h), where, "residual", n + m, residual, zero);
-    dal_discrete_free(discrete);
 }
 
 /* ---- end states of the flow --------------------------------------------------------------- */
@@ -398,30 +383,18 @@ static void check_reference(const subject *s, const reference_vector *r)
 {
     char where[80];
     double x[2 * N];
-    dal_error error = {0};
     snprintf(where, sizeof where, "flow of %s (%s), t = %g", r->system, s->kind, r->t);
-
-    dal_flow *flow = NULL;
-    check_in(where, error.text,
-             dal_flow_new(&flow, s->system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, &error) == 0);
+    dal_flow *const flow = open_flow(s->system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
     memcpy(x, r->x0, sizeof x);
     check_in(where, dal_flow_error(flow)->text, dal_flow_apply(flow, 0.0, r->t, x, NULL) == 0);
     compare_end(s, where, 1e-12 * r->t, r, x);
-    dal_flow_free(flow);
 
     const double h = 1.0 / 40.0;
-    dal_scheme scheme;
-    dal_stepper *stepper = NULL;
     snprintf(where, sizeof where, "kl8 of %s (%s), t = %g", r->system, s->kind, r->t);
-    check_in(where, "leapfrog-kl8", dal_scheme_find(&scheme, "leapfrog-kl8", &error) == 0);
-    check_in(where, error.text,
-             dal_stepper_new(&stepper, s->system, &scheme, NULL, &error) == 0);
-    check_in(where, "start",
-             dal_stepper_start(stepper, 0.0, h, r->x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_stepper *const stepper = start_named(s->system, "leapfrog-kl8", h, r->x0);
     check_in(where, dal_stepper_error(stepper)->text,
              dal_advance(stepper, (size_t)lround(r->t / h), NULL, NULL) == 0);
     compare_end(s, where, 1e-12 * r->t, r, dal_stepper_state(stepper));
-    dal_stepper_free(stepper);
 }
 
 /* ---- all of them -------------------------------------------------------------------------- */
@@ -468,9 +441,9 @@ int main(void)
             const subject s = open_subject(is, kind);
             check_formulas(&s, &unconstrained);
             check_runs(&s);
-            close_subject(&s);
+            release(s.system);
         }
-        close_subject(&unconstrained);
+        release(unconstrained.system);
     }
     return check_done();
 }

@@ -90,8 +90,6 @@ static void test_residual(const run *r)
     check_true(worst[TENTHS - 1] <= worst[0] + u_n, r->system, r->scheme, __LINE__);
     printf("%-20s %-16s %8zu steps: worst %.2f n u, first tenth %.2f, last tenth %.2f\n", r->system,
            r->scheme, r->steps, all / u_n, worst[0] / u_n, worst[TENTHS - 1] / u_n);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* Energy of particle_oscillator over 1e6 steps of h = 0.1: it oscillates with O(h^2), here below
@@ -122,9 +120,6 @@ static void test_energy(const char *name)
     CHECK(most[0] <= h * h && most[0] > 0.01 * h * h);
     CHECK_NEAR(most[TENTHS - 1], most[0], most[0] / 20);
     CHECK_NEAR(mean[TENTHS - 1], mean[0], most[0] / 20);
-    dal_stepper_free(stepper);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 int main(void)

@@ -86,10 +86,7 @@ static dal_system *open_disguise(const dal_system *base, disguise as)
     if (as == NONLINEAR) def.kind = DAL_NONLINEAR;
     if (as == DIFFERENCED)
         def.missing = DAL_MISSING_L_QQ | DAL_MISSING_L_VQ | DAL_MISSING_L_VV | DAL_MISSING_PHI_Q;
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "disguise", error.text);
-    return system;
+    return new_system(&def);
 }
 
 static int jet_of_base(double t, const double *q, const double *v, double *L, double *L_q,
@@ -107,10 +104,7 @@ static dal_system *open_disguise_of_jet(const dal_system *base)
                                 .lagrangian = jet_of_base, .constraint = plain_constraint,
                                 .missing = DAL_MISSING_L_QQ | DAL_MISSING_L_VQ | DAL_MISSING_L_VV
                                            | DAL_MISSING_PHI_Q};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "disguise", error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* The two step routines share no line, so their agreement says much: each step is solved to
@@ -125,7 +119,7 @@ static void test_same_steps(const char *name)
         dal_mechanics *const mech = open_mechanics(base);
         for (size_t i = 0; i < n; i++) x0[n + i] = 0.3 + 0.1 * (double)i;
         CHECK(dal_project(mech, 0.0, 0.0, x0, NULL) == 0);
-        dal_mechanics_free(mech);
+        release(mech);
     }
     for (disguise as = LAGRANGIAN; as < DISGUISES; as++)
         for (size_t s = 0; s < SCHEMES; s++)
@@ -152,10 +146,8 @@ static void test_same_steps(const char *name)
                     CHECK_NEAR(largest_difference(m, reaction[0], reaction[k]), 0.0,
                                tolerance / 0.03);
                 }
-                for (int k = 0; k < 3; k++) dal_stepper_free(steppers[k]);
-                dal_system_free(other);
+                release(other);
             }
-    dal_system_free(base);
 }
 
 /* Energy, lambda, field, projections of a disguised system. */
@@ -208,11 +200,8 @@ static void test_same_mechanics(const char *name)
             CHECK_NEAR(largest_difference(2 * n, a, y), 0.0,
                        tolerance * (1.0 + sum_of_sizes(2 * n, a)));
         }
-        dal_mechanics_free(mech);
-        dal_system_free(other);
+        release(other);
     }
-    dal_mechanics_free(plain);
-    dal_system_free(base);
 }
 
 /* ---- a driven, damped oscillator: q'' + 2 c q' + k q = cos(w t) ---------------------------- */
@@ -257,16 +246,14 @@ static void test_driven(unsigned missing)
     const double mass[1] = {1.0}, x0[2] = {0.4, -0.3}, t0 = 0.7, t1 = 3.7;
     const dal_system_def def = {.n = 1, .mass = mass, .potential = spring, .force = damped_drive,
                                 .missing = missing};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0 && dal_system_is_forced(system));
+    dal_system *const system = new_system(&def);
+    CHECK(dal_system_is_forced(system));
     double exact[2];
     driven_exact(t0, t1, x0, exact);
-    dal_flow *flow = NULL;
     double x[2] = {x0[0], x0[1]};
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
+    dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
     CHECK(dal_flow_apply(flow, t0, t1, x, NULL) == 0);
     CHECK_NEAR(largest_difference(2, x, exact), 0.0, 1e-12);
-    dal_flow_free(flow);
     static const struct {
         const char *scheme;
         int order;
@@ -288,13 +275,12 @@ static void test_driven(unsigned missing)
             dal_stepper_stats(stepper, &stats);
             CHECK(stats.force_calls > 0 && stats.lagrangian_calls == 0);
             CHECK(stats.differenced == missing);
-            dal_stepper_free(stepper);
+            release(stepper);
         }
         const double order = log2(error[0] / error[1]);
         check_true(order > cases[k].order - 0.2 && order < cases[k].order + 0.4, cases[k].scheme,
                    "order of the driven oscillator", (int)(100 * order));
     }
-    dal_system_free(system);
 }
 
 /* dE/dt = f . v: the power that dal_power reports is the slope of the energy along the flow. */
@@ -302,8 +288,7 @@ static void test_power_of_force(void)
 {
     const double mass[1] = {1.0};
     const dal_system_def def = {.n = 1, .mass = mass, .potential = spring, .force = damped_drive};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     dal_mechanics *const mech = open_mechanics(system);
     const double x0[2] = {0.4, -0.3}, d = 1e-3, t = 0.9;
     double power, E[5];
@@ -319,8 +304,6 @@ static void test_power_of_force(void)
     CHECK(dal_power(NULL, t, x0, NULL, &power) == DAL_EINVAL);
     CHECK(dal_metric(NULL, 0.0, x0, &power) == DAL_EINVAL
           && dal_metric(mech, 0.0, x0, NULL) == DAL_EINVAL);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* ---- a general system: M(q), gyroscopic terms, a force, a nonlinear constraint -------------- */
@@ -408,10 +391,7 @@ static dal_system *open_curved(unsigned missing, bool forced)
                                 .force = forced ? curved_force : NULL,
                                 .constraint = curved_constraint, .kind = DAL_NONLINEAR,
                                 .missing = missing};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "curved", error.text);
-    return system;
+    return new_system(&def);
 }
 
 static const double curved_start[6] = {0.3, 0.4, -0.2, 0.8, 0.5, 0.38};
@@ -443,8 +423,6 @@ static void test_step_derivatives(void)
             CHECK_NEAR(B[j], slope[3], 1e-10);
         }
     }
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* The flow stays in D though nothing projects it on the way, and keeps dE/dt = the two powers. */
@@ -452,12 +430,11 @@ static void test_curved_flow(void)
 {
     dal_system *const system = open_curved(0, true);
     dal_mechanics *const mech = open_mechanics(system);
-    dal_flow *flow = NULL;
     double x[6], E[5], power[2], residual;
     const double d = 1e-2, t = 0.4;
     memcpy(x, curved_start, sizeof x);
     CHECK(dal_project(mech, 0.0, 0.0, x, NULL) == 0);
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
+    dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
     for (int k = -2; k <= 2; k++) {
         double y[6];
         memcpy(y, x, sizeof y);
@@ -468,9 +445,6 @@ static void test_curved_flow(void)
     CHECK(dal_power(mech, t, x, power, power + 1) == 0);
     CHECK(fabs(power[0]) > 1e-2 && fabs(power[1]) > 1e-2);
     CHECK_NEAR(power[0] + power[1], (8 * (E[3] - E[1]) - (E[4] - E[0])) / (12 * d), 1e-7);
-    dal_flow_free(flow);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* The orders at t = 1 and D at every step, from the flow; adjointness on D. */
@@ -482,8 +456,7 @@ static void test_curved_orders(unsigned missing)
     memcpy(start, curved_start, sizeof start);
     CHECK(dal_project(mech, 0.0, 0.0, start, NULL) == 0);
     memcpy(exact, start, sizeof exact);
-    dal_flow *flow = NULL;
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
+    dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
     CHECK(dal_flow_apply(flow, 0.5, 1.5, exact, NULL) == 0);
     static const struct {
         const char *scheme;
@@ -510,15 +483,12 @@ static void test_curved_orders(unsigned missing)
                 CHECK(relative <= DAL_RESIDUAL_BOUND(3));
             }
             error[fine] = largest_difference(6, dal_stepper_state(stepper), exact);
-            dal_stepper_free(stepper);
+            release(stepper);
         }
         const double order = log2(error[0] / error[1]);
         check_true(order > cases[k].order - 0.25 && order < cases[k].order + 0.6, cases[k].scheme,
                    "order of the curved system", (int)(100 * order));
     }
-    dal_flow_free(flow);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* Phi_{1-beta,-h} undoes Phi_{beta,h} on D, with forces at their times. */
@@ -542,11 +512,8 @@ static void test_adjoint(void)
         CHECK(dal_step(return_, lambda + 1) == 0);
         CHECK_NEAR(largest_difference(6, dal_stepper_state(return_), start), 0.0, 64 * U);
         CHECK_NEAR(lambda[0], lambda[1], 64 * U / h);
-        dal_stepper_free(forth);
-        dal_stepper_free(return_);
+        release(return_);
     }
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* ---- what goes wrong ------------------------------------------------------------------------ */
@@ -604,8 +571,7 @@ static void test_sabotage(void)
                     const dal_system_def def = {
                         .n = 3, .m = 1, .lagrangian = faulty_lagrangian, .force = faulty_force,
                         .constraint = faulty_constraint, .kind = DAL_NONLINEAR, .ctx = &s};
-                    dal_system *system = NULL;
-                    CHECK(dal_system_new(&system, &def, NULL) == 0);
+                    dal_system *const system = new_system(&def);
                     const dal_scheme scheme = find_scheme("midpoint-suzuki4");
                     dal_stepper *const stepper =
                         open_stepper_by(multi ? BY_MULTIROOT : BY_LIBRARY, system, &scheme);
@@ -625,8 +591,7 @@ static void test_sabotage(void)
                                dal_stepper_error(stepper)->text, names[where], __LINE__);
                     s.from = SIZE_MAX;
                     CHECK(dal_step(stepper, &reaction) == 0);
-                    dal_stepper_free(stepper);
-                    dal_system_free(system);
+                    release(system);
                 }
 }
 
@@ -655,15 +620,13 @@ static void test_probes(void)
                                                                : curved_lagrangian,
                                     .constraint = curved_constraint, .ctx = &forgets};
         const dal_scheme scheme = find_scheme("explicit");
-        dal_system *system = NULL;
-        need(dal_system_new(&system, &def, NULL), "probes", "");
+        dal_system *const system = new_system(&def);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         const int status = dal_stepper_start(stepper, 2.0, 0.1, curved_start, DAL_PROJECT,
                                              DAL_INITIAL_NONE);
         CHECK(status == (lacking ? DAL_EDOMAIN : DAL_SUCCESS));
         CHECK(strstr(dal_stepper_error(stepper)->text, words[lacking]) != NULL);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -697,8 +660,8 @@ static int degenerate_lagrangian(double t, const double *q, const double *v, dou
 static void test_degenerate(void)
 {
     const dal_system_def def = {.n = 2, .lagrangian = degenerate_lagrangian};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0 && mass_of(system) == NULL);
+    dal_system *const system = new_system(&def);
+    CHECK(mass_of(system) == NULL);
     dal_mechanics *const mech = open_mechanics(system);
     double out[4] = {7, 7, 7, 7}, x[4] = {0.0, 0.0, 1.0, 1.0};
     for (int sign = -1; sign <= 0; sign++) {
@@ -710,8 +673,6 @@ static void test_degenerate(void)
     }
     x[0] = 2.0;
     CHECK(dal_metric(mech, 0.0, x, out) == 0 && out[3] == 2.0);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* Newton fails for a step that is far too long; with max_iterations it says how many it had. */
@@ -725,11 +686,9 @@ static void test_too_long(void)
     CHECK(dal_step(stepper, NULL) == DAL_ENOCONV);
     const char *const text = dal_stepper_error(stepper)->text;
     CHECK(strstr(text, "step 1 (t = 0, h = 2): Newton did not converge in 2 ") != NULL);
-    dal_stepper_free(stepper);
     CHECK(!dal_scheme_is_explicit(&scheme, system));
     const dal_scheme explicit_ = find_scheme("explicit");
     CHECK(!dal_scheme_is_explicit(&explicit_, system));
-    dal_system_free(system);
 }
 
 /* ---- units ----------------------------------------------------------------------------------
@@ -816,10 +775,7 @@ static dal_system *open_scaled(const other_units *u, disguise as)
     else def.mass = mass, def.potential = scaled_potential;
     if (as == FORCED) def.force = scaled_no_force;
     if (as == AFFINE) def.kind = DAL_AFFINE;
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "scaled", error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* From x one step of a chart to y, and one of pairs of nodes to z. */
@@ -827,19 +783,15 @@ static void step_otherwise(const dal_system *system, const double *x, double *y,
 {
     const dal_difference_map map = {.beta = 0.5};
     const size_t n = system->def.n;
-    dal_chart *chart = NULL;
-    dal_discrete *discrete = NULL;
     double xi[2 * MOST_N];
-    need(dal_chart_new(&chart, system, NULL), "chart", "");
-    need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
+    dal_chart *const chart = open_chart(system);
+    dal_discrete *const discrete = open_discrete(system, map, NULL);
     memcpy(y, x, 2 * n * sizeof *y);
     memcpy(z, x, 2 * n * sizeof *z);
     CHECK(dal_chart_choose(chart, 0.0, NULL, y) == 0 && dal_chart_drop(chart, y, xi) == 0);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 0.1, xi, NULL) == 0);
     CHECK(dal_chart_lift(chart, 0.0, xi, y) == 0);
     CHECK(dal_discrete_advance(discrete, 0.0, 0.1, z, NULL) == 0);
-    dal_discrete_free(discrete);
-    dal_chart_free(chart);
 }
 
 /* Steps do not depend on units, to the last bit and to the last iteration; nor, all coordinates in
@@ -885,10 +837,8 @@ static void test_units(const char *name, int most, double far)
                 end[k][n] *= 1.1; /* and from there onto D_eps */
                 dal_mechanics *const mech = open_mechanics(systems[k]);
                 CHECK(dal_project(mech, 0.0, 0.05, end[k], NULL) == 0);
-                dal_mechanics_free(mech);
-                dal_stepper_free(stepper);
-                dal_system_free(systems[k]);
             }
+            release(systems[0]);
             for (size_t i = 0; i < 2 * n; i++) end[1][i] *= u.of_q[i % n];
             CHECK(stats[0].iterations == stats[1].iterations);
             CHECK(stats[0].full_newtons == stats[1].full_newtons);
@@ -901,7 +851,6 @@ static void test_units(const char *name, int most, double far)
             CHECK(memcmp(end[0], end[1], 2 * n * sizeof(double)) == 0);
             CHECK(memcmp(lambda[0], lambda[1], m * sizeof(double)) == 0);
         }
-    dal_system_free(base);
 }
 
 /* ---- how many iterations --------------------------------------------------------------------- */
@@ -932,20 +881,15 @@ static void test_guess(void)
     double g = 9.81;
     size_t calls = 0;
     const dal_system_def def = {.n = 1, .mass = mass, .force = weight, .ctx = &g};
-    const dal_scheme scheme = find_scheme("midpoint-suzuki4");
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "weight", "");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_system *const system = new_system(&def);
     for (int start = 0; start < 2; start++) {
-        CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_stepper *const stepper = start_named(system, "midpoint-suzuki4", 0.1, x);
         CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
         CHECK(stats_of(stepper).iterations == SUBSTEPS * STEPS);
         if (start == 0) calls = stats_of(stepper).force_calls;
         CHECK(calls > SUBSTEPS * STEPS && stats_of(stepper).force_calls == calls);
         CHECK_NEAR(dal_stepper_state(stepper)[1], x[1] + g / mass[0] * STEPS * 0.1, 1e-13);
     }
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 static int weight_until(double t, const double *q, const double *v, const double *u, double *f,
@@ -962,11 +906,8 @@ static void test_guess_after_failure(void)
     const double mass[1] = {2.0}, x[2] = {0.0, 0.3}, h = 0.1;
     double end = HUGE_VAL;
     const dal_system_def def = {.n = 1, .mass = mass, .force = weight_until, .ctx = &end};
-    const dal_scheme scheme = find_scheme("midpoint-suzuki4");
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "weight until", "");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-    CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_system *const system = new_system(&def);
+    dal_stepper *const stepper = start_named(system, "midpoint-suzuki4", h, x);
     CHECK(dal_step(stepper, NULL) == 0);
     end = 1.6 * h; /* in the second sub-step of the second step */
     CHECK(dal_step(stepper, NULL) == DAL_EDOMAIN);
@@ -974,8 +915,6 @@ static void test_guess_after_failure(void)
     end = HUGE_VAL;
     CHECK(dal_step(stepper, NULL) == 0);
     CHECK(stats_of(stepper).iterations == before + SUBSTEPS);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* The changes of v in the steps before help. */
@@ -988,8 +927,6 @@ static void test_guess_of_velocities(void)
     CHECK(dal_advance(stepper, 100, NULL, NULL) == 0);
     CHECK(stats_of(stepper).iterations < 600); /* without the changes before it is 732 */
     CHECK(stats_of(stepper).lagrangian_calls > 600);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- at rest, and far out ------------------------------------------------------------------ */
@@ -1032,8 +969,7 @@ static void test_rest(void)
         const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .potential = hung_potential,
                                     .constraint = hung_constraint, .ctx = g};
         const double start[6] = {0.1, next_number(&seed), -0.4};
-        dal_system *base = NULL;
-        need(dal_system_new(&base, &def, NULL), "hung", "");
+        dal_system *const base = new_system(&def);
         for (disguise as = LAGRANGIAN; as < DIFFERENCED; as++) {
             dal_system *const system = open_disguise(base, as);
             for (size_t s = 0; s < SCHEMES; s++)
@@ -1048,14 +984,12 @@ static void test_rest(void)
                     const double *const x = dal_stepper_state(stepper);
                     CHECK_NEAR(largest_difference(3, x + 3, start + 3), 0.0,
                                k ? 1e-11 * STEPS * h : tolerance); /* hybridsj may be stuck there */
-                    dal_stepper_free(stepper);
+                    release(stepper);
                 }
             double xi[5], x[6];
-            dal_chart *chart = NULL;
-            dal_discrete *discrete = NULL;
             const dal_difference_map map = {.beta = 0.5};
-            need(dal_chart_new(&chart, system, NULL), "chart", "");
-            need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
+            dal_chart *const chart = open_chart(system);
+            dal_discrete *const discrete = open_discrete(system, map, NULL);
             CHECK(dal_chart_choose(chart, 0.0, NULL, start) == 0);
             CHECK(dal_chart_drop(chart, start, xi) == 0);
             memcpy(x, start, sizeof x);
@@ -1065,11 +999,9 @@ static void test_rest(void)
             }
             CHECK_NEAR(sum_of_sizes(2, xi + 3), 0.0, tolerance);
             CHECK_NEAR(sum_of_sizes(3, x + 3), 0.0, tolerance);
-            dal_discrete_free(discrete);
-            dal_chart_free(chart);
-            dal_system_free(system);
+            release(system);
         }
-        dal_system_free(base);
+        release(base);
     }
 }
 
@@ -1096,14 +1028,12 @@ static void test_far(const char *name, double far)
             CHECK(dal_step(stepper, NULL) == 0);
             CHECK(residual_of(system, shift, dal_stepper_state(stepper)) <= DAL_RESIDUAL_BOUND(n));
         }
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_chart *chart = NULL;
-    dal_discrete *discrete = NULL;
     const dal_difference_map map = {.beta = 0.5};
     double xi[16], y[16];
-    need(dal_chart_new(&chart, system, NULL), "chart", "");
-    need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
+    dal_chart *const chart = open_chart(system);
+    dal_discrete *const discrete = open_discrete(system, map, NULL);
     memcpy(y, x, 2 * n * sizeof *y);
     for (int step = 0; step < (brief() ? 10 : 300); step++) {
         CHECK(dal_chart_choose(chart, 0.0, NULL, y) == 0);
@@ -1112,10 +1042,6 @@ static void test_far(const char *name, double far)
         CHECK(dal_chart_lift(chart, 0.0, xi, y) == 0);
         CHECK(dal_discrete_advance(discrete, 0.0, 0.1, x, NULL) == 0);
     }
-    dal_discrete_free(discrete);
-    dal_chart_free(chart);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 static int pendulum(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
@@ -1141,20 +1067,13 @@ static void test_turned(void)
     const double mass[1] = {1.0};
     const dal_system_def def = {.n = 1, .mass = mass, .potential = pendulum, .force = no_weight};
     const dal_difference_map map = {.beta = 0.5};
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_system *system = NULL;
-    dal_discrete *discrete = NULL;
     double x[2] = {1e10, 0.3};
-    need(dal_system_new(&system, &def, NULL), "pendulum", "");
-    need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-    CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_system *const system = new_system(&def);
+    dal_discrete *const discrete = open_discrete(system, map, NULL);
+    dal_stepper *const stepper = start_named(system, "midpoint", 1.0, x);
     CHECK(dal_advance(stepper, 1000, NULL, NULL) == 0);
     for (int step = 0; step < 1000; step++)
         CHECK(dal_discrete_advance(discrete, 0.0, 1.0, x, NULL) == 0);
-    dal_stepper_free(stepper);
-    dal_discrete_free(discrete);
-    dal_system_free(system);
 }
 
 /* mu = (1 + k y^2, a, 1): it turns back at y = 0, and v_x may pass through 0 as it bends; *ctx is
@@ -1188,8 +1107,7 @@ static void test_bowl(void)
         double shape[2] = {0.5 + fabs(next_number(&seed)), 0.2 + 0.3 * next_number(&seed)}, x[6];
         const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = bowl,
                                     .ctx = shape};
-        dal_system *system = NULL;
-        CHECK(dal_system_new(&system, &def, NULL) == 0);
+        dal_system *const system = new_system(&def);
         const dal_scheme scheme = find_scheme(names[start % 5]);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         for (int i = 0; i < 6; i++) x[i] = next_number(&seed);
@@ -1199,8 +1117,7 @@ static void test_bowl(void)
         CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
         for (int step = 0; step < 50 && dal_step(stepper, NULL) == 0; step++)
             worst = fmax(worst, residual_of(system, 0.0, dal_stepper_state(stepper)));
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
     CHECK_NEAR(worst, 0.0, DAL_RESIDUAL_BOUND(3));
 }
@@ -1245,9 +1162,8 @@ static void test_far_nodes(const char *name, double far)
             worst = fmax(worst, residual_of(system, shift, now) / allowed);
         }
         CHECK(worst <= 1.0);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* Projections onto D_eps there: one rounding of q moves mu by more than 1e-11, so that what Newton
@@ -1266,8 +1182,6 @@ static void test_far_projection(const char *name, double far)
         /* q - shift v, which rounds by u far, is where D_eps is */
         CHECK(residual_of(system, 0.1, x) <= DAL_RESIDUAL_BOUND(n) + 16 * U * far);
     }
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* Differences at angles of many turns, and far from the origin: with the spacing of the library
@@ -1289,10 +1203,6 @@ static void test_far_differences(const char *name)
         CHECK_NEAR(largest_difference(n, vdot, expected), 0.0,
                    16 * pow(U * far, 0.8) * (1.0 + sum_of_sizes(n, expected)));
     }
-    dal_mechanics_free(given);
-    dal_mechanics_free(other);
-    dal_system_free(differenced);
-    dal_system_free(base);
 }
 
 /* How far R1 moves with its place: by (1 - beta) h V_qq, and phi by its forms.  M = 1. */
@@ -1301,9 +1211,8 @@ static void test_moves(void)
     const double h = 0.1, beta = 0.25;
     double x[6], xi[5], V_qq[9], sum = 0.0;
     dal_system *const system = open_system("particle_oscillator");
-    dal_chart *chart = NULL;
     need(dal_system_state(system, x), "state", "");
-    need(dal_chart_new(&chart, system, NULL), "chart", "");
+    dal_chart *const chart = open_chart(system);
     CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0 && dal_chart_drop(chart, x, xi) == 0);
     CHECK(dal_chart_step(chart, 0.0, beta, h, xi, NULL) == 0);
     const dal_mechanics *const mech = &chart->mech;
@@ -1314,8 +1223,6 @@ static void test_moves(void)
                    - dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, q, NULL, h),
                sum, 16 * U * (1.0 + sum));
     CHECK(sum > 0.01);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 int main(void)

@@ -38,19 +38,7 @@ static dal_system *open_vector_system(const vector_system *is)
     const dal_system_def def = {.n = is->n, .m = is->m, .mass = is->mass,
                                 .potential = is->potential, .constraint = is->constraint,
                                 .lagrangian = is->lagrangian, .name = is->name};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), is->name, error.text);
-    return system;
-}
-
-static dal_system *open_deformed(const dal_system *base, dal_deformation_fn g,
-                                 dal_constraint_kind kind)
-{
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_deform(&system, base, g, NULL, 0.3, kind, 0, &error), "deformed", error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* A system with a chart, its mechanics, and a state of D where the chart was chosen by pivoting. */
@@ -61,14 +49,6 @@ typedef struct subject {
     size_t n, m, width;
     double x[2 * N];
 } subject;
-
-static dal_chart *open_chart(const dal_system *system)
-{
-    dal_chart *chart = NULL;
-    dal_error error = {0};
-    need(dal_chart_new(&chart, system, &error), dal_system_name(system), error.text);
-    return chart;
-}
 
 /* Positions and velocities of order 1. */
 static void somewhere(size_t count, unsigned *seed, double *x)
@@ -86,12 +66,6 @@ static subject open_subject(dal_system *system, unsigned seed)
     need(dal_project(s.mech, 0.0, 0.0, s.x, NULL), name, dal_mechanics_error(s.mech)->text);
     need(dal_chart_choose(s.chart, 0.0, NULL, s.x), name, dal_chart_error(s.chart)->text);
     return s;
-}
-
-static void close_subject(subject *s)
-{
-    dal_chart_free(s->chart);
-    dal_mechanics_free(s->mech);
 }
 
 /* ---- by hand ------------------------------------------------------------------------------- */
@@ -140,8 +114,6 @@ static void test_particle(void)
             CHECK_NEAR(J[5 * i + k], expected, U);
             CHECK(left[6 * k + i] == (double)(i == k));
         }
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 /* ---- the connection ------------------------------------------------------------------------ */
@@ -232,7 +204,6 @@ static void test_all_choices(const subject *s)
         best = fmin(best, condition);
     }
     CHECK(chosen <= 1.25 * sqrt(1.0 + (double)(m * (n - m))) * best);
-    dal_chart_free(chart);
 }
 
 /* ---- psi ----------------------------------------------------------------------------------- */
@@ -344,7 +315,7 @@ static void test_step(const subject *s)
             CHECK(dal_chart_multipliers(s->chart, 0.0, node, lambda, expected) == 0);
             CHECK_NEAR(largest_difference(m, lambda_E, expected), 0.0,
                        ROUNDOFF * scale * (1 + sum_of_sizes(m, expected)) / fabs(h));
-            dal_stepper_free(stepper);
+            release(stepper);
         }
 }
 
@@ -412,8 +383,6 @@ static void test_errata(void)
     printf("slopes over a halving: E6a printed %.2f; E5 printed %.2f, corrected %.2f\n",
            log2(printed_E6[0] / printed_E6[1]), log2(printed_E5[0] / printed_E5[1]),
            log2(corrected_E5[0] / corrected_E5[1]));
-    close_subject(&s);
-    dal_system_free(system);
 }
 
 /* ---- what does not depend on coordinates or forms ------------------------------------------- */
@@ -453,7 +422,7 @@ static void test_invariance(void)
             mass[i * 4 + j] = generic4_mass[i * 4 + j] * o.unit[i] * o.unit[j];
     const dal_system_def def = {.n = 4, .m = 2, .mass = mass, .constraint = scaled_constraint,
                                 .ctx = &o};
-    CHECK(dal_system_new(&scaled, &def, NULL) == 0);
+    scaled = new_system(&def);
     dal_chart *const in_units = open_chart(scaled), *const of_forms = open_chart(mixed);
     for (unsigned seed = 1; seed < 20; seed++) {
         subject s = open_subject(system, seed);
@@ -474,13 +443,7 @@ static void test_invariance(void)
         CHECK(dal_chart_choose(of_forms, 0.0, NULL, s.x) == 0);
         CHECK(dal_chart_condition(of_forms, 0.0, s.x, &other) == 0);
         CHECK(other <= 1.25 * sqrt(5.0));
-        close_subject(&s);
     }
-    dal_chart_free(in_units);
-    dal_chart_free(of_forms);
-    dal_system_free(scaled);
-    dal_system_free(mixed);
-    dal_system_free(system);
 }
 
 /* Fifty trailers in line: 51 constraints, whose chart is as good as that of three. */
@@ -488,9 +451,8 @@ static void test_many_constraints(void)
 {
     const char *const names[] = {"trailers"};
     const double fifty = 50.0;
-    dal_system *system = NULL;
     double x[106], back[106], xi[55], condition = NAN;
-    need(dal_system_builtin(&system, "n_trailer", names, &fifty, 1, NULL), "n_trailer", "");
+    dal_system *const system = open_builtin("n_trailer", 1, names, &fifty);
     dal_chart *const chart = open_chart(system);
     CHECK(dal_system_state(system, x) == 0);
     CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0);
@@ -498,8 +460,6 @@ static void test_many_constraints(void)
     CHECK(dal_chart_drop(chart, x, xi) == 0 && dal_chart_lift(chart, 0.0, xi, back) == 0);
     CHECK_NEAR(largest_difference(106, x, back), 0.0, 53 * U);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 0.01, xi, NULL) == 0);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 /* The particle: with z dependent A = (-y, 0), with x dependent A = (0, -1/y).  The limit is
@@ -532,8 +492,6 @@ static void test_renewal(void)
     CHECK(strstr(dal_chart_error(chart)->text, "singular") == NULL); /* that is no failure */
     CHECK(dal_chart_renew(chart, 0.0, at_infinity, NULL) == 0
           && dal_chart_dependent(chart)[0] == 2);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 /* phi = v_z^2 - v_x^2 - v_y^2 has two branches; Newton stays on that of the choice. */
@@ -553,9 +511,8 @@ static void test_branches(void)
     const double up[6] = {0, 0, 0, 3, 4, 5}, down[6] = {0, 0, 0, 3, 4, -5};
     const double xi[5] = {1, 2, 3, 5, 12}, none[5] = {0, 0, 0, 0, 0};
     const size_t z = 2;
-    dal_system *system = NULL;
     double x[6], start[6] = {7, 7, 7, 7, 7, 7};
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     dal_chart *const chart = open_chart(system);
     CHECK(dal_chart_choose(chart, 0.0, &z, up) == 0 && dal_chart_lift(chart, 0.0, xi, x) == 0);
     CHECK_NEAR(x[5], 13.0, 32 * U);
@@ -576,15 +533,12 @@ static void test_branches(void)
     /* where the branches meet Newton halves v_z for ever: phi_v vanishes with v */
     CHECK(dal_chart_lift(chart, 0.0, none, start) == DAL_ENOCONV && start[0] == 7.0);
     CHECK(strstr(dal_chart_error(chart)->text, "in 50 iterations") != NULL);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 /* ---- no constraints, failures -------------------------------------------------------------- */
 
 static void test_no_constraint(void)
 {
-    dal_system *system_of_line = NULL;
     wide w;
     dal_system *const system = open_wide(&w, 3, 0, true, true);
     subject s = open_subject(system, 4);
@@ -603,19 +557,15 @@ static void test_no_constraint(void)
     CHECK(dal_chart_multipliers(s.chart, 0.0, x, NULL, x) == 0);
     CHECK(dal_chart_renew(s.chart, 0.0, x, NULL) == 0);
     test_step(&s);
-    close_subject(&s);
-    dal_system_free(system);
 
     const dal_system_def line = {.n = 1, .mass = vector_mass_one};
     double fast[2] = {0.0, 1e300};
-    CHECK(dal_system_new(&system_of_line, &line, NULL) == 0);
+    dal_system *const system_of_line = new_system(&line);
     dal_chart *const chart = open_chart(system_of_line);
     CHECK(dal_chart_choose(chart, 0.0, NULL, fast) == 0);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 1e10, fast, NULL) == DAL_EDOMAIN);
     CHECK(fast[0] == 0.0 && strstr(dal_chart_error(chart)->text, "overflows with h = 1e+10"));
     CHECK(dal_chart_step(chart, 0.0, 0.5, 1e5, fast, NULL) == 0 && fast[1] == 1e300);
-    dal_chart_free(chart);
-    dal_system_free(system_of_line);
 }
 
 /* Two forms that coincide where q0 = 0; outside its domain for q0 > 10, stops for q0 < -10. */
@@ -660,16 +610,13 @@ static void test_overflow(void)
     const dal_system_def def = {.n = 2, .m = 1, .mass = mass, .constraint = steep};
     const size_t second = 1;
     double xi[3] = {0.0, 0.0, 1.0}, x[4] = {0.0};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     dal_chart *const chart = open_chart(system);
     CHECK(dal_chart_choose(chart, 0.0, &second, x) == 0 && dal_chart_lift(chart, 0.0, xi, x) == 0);
     CHECK_NEAR(x[3], -1e300, 1e300 * 4 * U);
     xi[2] = 1e10;
     CHECK(dal_chart_lift(chart, 0.0, xi, x) == DAL_EDOMAIN && x[2] == 1.0);
     CHECK(strstr(dal_chart_error(chart)->text, "overflow") != NULL);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 static void test_pivoting(void)
@@ -677,25 +624,18 @@ static void test_pivoting(void)
     const double x[6] = {0.0};
     const size_t first[2] = {1, 0};
     dal_system_def def = {.n = 3, .m = 2, .mass = vector_mass_one, .constraint = exchanged};
-    dal_system *system = NULL;
     double A[2];
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
-    dal_chart *chart = open_chart(system);
+    dal_chart *chart = open_chart(new_system(&def));
     CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0
           && dal_chart_connection(chart, 0.0, x, A, NULL) == 0);
     CHECK(dal_chart_independent(chart)[0] == 0);
     CHECK_NEAR(A[0], -0.5, 2 * U);
     CHECK_NEAR(A[1], 0.5, 2 * U);
-    dal_chart_free(chart);
-    dal_system_free(system);
 
     def.constraint = parallel;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
-    chart = open_chart(system);
+    chart = open_chart(new_system(&def));
     CHECK(dal_chart_choose(chart, 0.0, first, x) == DAL_ESINGULAR);
     CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0 && dal_chart_dependent(chart)[1] == 2);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 static void test_failures(void)
@@ -703,12 +643,11 @@ static void test_failures(void)
     const dal_system_def def = {.n = 3, .m = 2, .mass = vector_mass_one, .constraint = degenerate};
     const size_t twice[2] = {1, 1}, beyond[2] = {0, 3}, first[2] = {0, 1};
     double x[6] = {1, 2, 3, 0.5, 0.4, 0.3}, out[24], condition = 7.0;
-    dal_system *system = NULL;
     dal_chart *chart = NULL;
     dal_error error;
     int changed = 7;
     for (size_t k = 0; k < 24; k++) out[k] = 7.0;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     CHECK(dal_chart_new(NULL, system, &error) == DAL_EINVAL);
     CHECK(strcmp(error.text, "chart is NULL") == 0);
     CHECK(dal_chart_new(&chart, NULL, &error) == DAL_EINVAL);
@@ -795,8 +734,6 @@ static void test_failures(void)
     for (size_t k = 0; k < 24; k++) CHECK(out[k] == 7.0);
     CHECK(condition == 7.0 && changed == 7);
     CHECK(dal_chart_dependent(chart)[0] == 1 && dal_chart_lift(chart, 0.0, x, out) == 0);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 /* The step that has no solution: 1 + y_k y_{k+1} = 0 at beta = 1, y = -1, h v_y = 2. */
@@ -812,8 +749,6 @@ static void test_singular_step(void)
     CHECK(strstr(dal_chart_error(chart)->text, "with h = 2: the constraints lose rank here, or "
                                                "h is too large") != NULL);
     CHECK(memcmp(before, xi, sizeof xi) == 0);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 static void test_system(dal_system *system)
@@ -824,7 +759,6 @@ static void test_system(dal_system *system)
         test_all_choices(&s);
         test_psi(&s);
         test_step(&s);
-        close_subject(&s);
     }
 }
 
@@ -835,19 +769,17 @@ int main(void)
         dal_system *const system = open_vector_system(&vector_systems[k]);
         test_system(system);
         if (vector_systems[k].n == 3) {
-            dal_system *const deformed = open_deformed(system, product, DAL_NONLINEAR);
-            dal_system *const affine = open_deformed(system, drift, DAL_AFFINE);
+            dal_system *const deformed = open_deformed(system, product, NULL, 0.3, DAL_NONLINEAR, 0);
+            dal_system *const affine = open_deformed(system, drift, NULL, 0.3, DAL_AFFINE, 0);
             test_system(deformed);
             test_system(affine);
-            dal_system_free(affine);
-            dal_system_free(deformed);
+            release(deformed);
         }
-        dal_system_free(system);
+        release(system);
     }
     wide w;
     dal_system *const large = open_wide(&w, 8, 5, true, true);
     test_system(large);
-    dal_system_free(large);
     test_errata();
     test_invariance();
     test_many_constraints();

@@ -8,14 +8,6 @@ enum { N = 8, ROWS = 65, TIMES = 40 };
 
 static const double pi = 3.14159265358979323846;
 
-static dal_chart *open_chart(const dal_system *system)
-{
-    dal_chart *chart = NULL;
-    dal_error error = {0};
-    need(dal_chart_new(&chart, system, &error), dal_system_name(system), error.text);
-    return chart;
-}
-
 /* ---- the cut-off --------------------------------------------------------------------------- */
 
 static void test_cutoff(void)
@@ -87,8 +79,6 @@ static void test_curve_by_hand(void)
     }
     CHECK(dal_chart_curve(NULL, 0.0, x1, x2, 0.5, x) == DAL_EINVAL);
     CHECK(memcmp(x, middle, sizeof x) == 0);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 /* From x1 to x2, in D all the way; flat at the ends: chi_1(1/64) = exp(-2 cot(pi/64)) < 1e-17. */
@@ -110,8 +100,6 @@ static void test_curve(const dal_system *system)
         if (k <= 1) CHECK_NEAR(largest_difference(2 * n, x, x1), 0.0, 64 * U);
         if (k >= 63) CHECK_NEAR(largest_difference(2 * n, x, x2), 0.0, 64 * U);
     }
-    dal_chart_free(chart);
-    dal_mechanics_free(mech);
 }
 
 /* ---- between rows ---------------------------------------------------------------------------- */
@@ -142,7 +130,6 @@ static run make_run(const dal_system *system, const char *scheme_name, double t0
          dal_stepper_error(stepper)->text);
     need(dal_integrate(stepper, (rows - 1) * stride, stride, buffer, NULL, NULL, NULL, NULL),
          scheme_name, dal_stepper_error(stepper)->text);
-    dal_stepper_free(stepper);
     return r;
 }
 
@@ -165,9 +152,8 @@ static void test_fall(void)
 {
     const double mass[4] = {1, 0, 0, 1}, h = 0.75, t0 = 2.0;
     const dal_system_def def = {.n = 2, .mass = mass, .potential = gravity};
-    dal_system *system = NULL;
     double rows[4 * 3], out[4 * TIMES], t[TIMES];
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     dal_chart *const chart = open_chart(system);
     for (size_t k = 0; k < 3; k++) {
         const double s = (double)k * h;
@@ -182,8 +168,6 @@ static void test_fall(void)
         const double expected[4] = {1 + 5 * s - 4.5 * s * s, 2 - s, 5 - 9 * s, -1};
         CHECK_NEAR(largest_difference(4, out + 4 * k, expected), 0.0, 128 * U);
     }
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 /* Errors against the flow at times off the grid, for h and h/2; the order is between the two. */
@@ -193,9 +177,8 @@ static void test_order(const dal_system *system, const char *scheme, size_t stri
     const size_t n = dal_system_n(system), rows = 9;
     dal_chart *const chart = open_chart(system);
     dal_mechanics *const mech = open_mechanics(system);
-    dal_flow *flow = NULL;
     double buffer[2 * N * ROWS], error[2] = {0.0, 0.0}, relative = NAN;
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
+    dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
     for (size_t level = 0; level < 2; level++) {
         const double step = level == 0 ? h : h / 2;
         const run r = make_run(system, scheme, 0.5, step, level == 0 ? rows : 2 * rows - 1, stride,
@@ -216,9 +199,6 @@ static void test_order(const dal_system *system, const char *scheme, size_t stri
     printf("%s by %s, stride %zu, h = %g: errors %.2e %.2e, order %.2f\n", dal_system_name(system),
            scheme, stride, h, error[0], error[1], order);
     CHECK_NEAR(order, expected, 0.35);
-    dal_flow_free(flow);
-    dal_mechanics_free(mech);
-    dal_chart_free(chart);
 }
 
 /* Rows are reproduced bit for bit, also at times that were computed in another way; whatever the
@@ -251,7 +231,6 @@ static void test_rows(const dal_system *system, const char *scheme, double h)
                1e-9 * (1 + sum_of_sizes(2 * n, again)));
     t[0] = end + 1e-8 * span;
     CHECK(between(chart, &r, 1, t, again) == DAL_EINVAL);
-    dal_chart_free(chart);
 }
 
 /* The kept nodes of a run are its moved ones, moved: so is what lies between. */
@@ -275,8 +254,6 @@ static void test_kept_nodes(const dal_system *system)
         CHECK_NEAR(largest_difference(2 * n, x + 2 * n * k, row), 0.0,
                    256 * U * (1 + sum_of_sizes(2 * n, row)));
     }
-    dal_mechanics_free(mech);
-    dal_chart_free(chart);
 }
 
 /* An angle that passes 2^20 is rounded more coarsely from there on, which turns the forms by 1e-10
@@ -293,8 +270,7 @@ static void test_large_angles(void)
     def.state = state;
     def.exact = NULL;
     def.invariants = 0;
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     const run r = make_run(system, "midpoint-nodes", 0.0, 0.1, 9, 1, rows);
     for (size_t k = 0; k < TIMES; k++) t[k] = 0.8 * ((double)k + 0.41) / TIMES;
     CHECK(between(chart, &r, TIMES, t, x) == 0);
@@ -303,10 +279,6 @@ static void test_large_angles(void)
         CHECK(dal_relative_residual(mech, 0.0, r.shift, x + 8 * k, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(4));
     }
-    dal_system_free(system);
-    dal_chart_free(chart);
-    dal_mechanics_free(mech);
-    dal_system_free(disk);
 }
 
 /* From y = -3 to 3 the particle depends in x, in z, in x again; and the caller's choice stays. */
@@ -336,9 +308,6 @@ static void test_changes(void)
         CHECK(dal_relative_residual(mech, 0.0, 0.0, out + 6 * k, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(3));
     }
-    dal_chart_free(chart);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* phi = v_z^2 - v_x^2 - v_y^2, two branches: between rows on one the chart stays on the other. */
@@ -358,17 +327,14 @@ static void test_branches(void)
     const double up[6] = {0, 0, 0, 3, 4, 5}, rows[12] = {0, 0, 0, 3, 4, -5, 3, 4, -5, 3, 4, -5};
     const double t = 0.5, xi[5] = {1, 2, 3, 5, 12}, middle[6] = {1.5, 2, -2.5, 3, 4, -5};
     const size_t z = 2;
-    dal_system *system = NULL;
     double x[6];
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     dal_chart *const chart = open_chart(system);
     CHECK(dal_chart_choose(chart, 0.0, &z, up) == 0);
     CHECK(dal_chart_interpolate(chart, 0.0, 1.0, 0.0, 2, rows, 1, &t, x, NULL, NULL) == 0);
     CHECK_NEAR(largest_difference(6, x, middle), 0.0, 32 * U);
     CHECK(dal_chart_lift(chart, 0.0, xi, x) == 0);
     CHECK_NEAR(x[5], 13.0, 32 * U);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 /* The knife edge turns by 3 between two rows: no choice is good for all of such an interval. */
@@ -395,9 +361,6 @@ static void test_coarse(void)
     CHECK(dal_chart_interpolate(chart, 1.0, h, 0.0, 1, rows, 1, (double[]){1.0}, out, NULL, NULL)
           == 0);
     CHECK(memcmp(out, rows, 6 * sizeof *out) == 0);
-    dal_chart_free(chart);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* ---- failures ------------------------------------------------------------------------------- */
@@ -413,8 +376,7 @@ static int bounded(double t, const double *q, const double *v, double *phi, doub
 static void test_failures(void)
 {
     const dal_system_def def = {.n = 3, .m = 1, .mass = vector_mass_one, .constraint = bounded};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     dal_chart *const chart = open_chart(system);
     double rows[6 * 3], out[6 * 4], t[4] = {0.0, 0.05, 0.1, 0.15};
     size_t done = 99, changes = 99;
@@ -457,8 +419,6 @@ static void test_failures(void)
           == DAL_EINVAL);
     CHECK(strstr(dal_chart_error(chart)->text, "x[3] = nan is not finite in row 0") != NULL);
     CHECK(dal_chart_interpolate(chart, 0, 0.1, 0, 3, rows, 0, NULL, NULL, NULL, NULL) == 0);
-    dal_chart_free(chart);
-    dal_system_free(system);
 }
 
 /* ---- systems with a state, some with M(q) or a nonlinear constraint ------------------------ */
@@ -480,26 +440,16 @@ static dal_system *with_state(const vector_system *is, dal_constraint_kind kind,
     dal_system_def def = {.n = is->n, .m = is->m, .mass = is->mass, .potential = is->potential,
                           .constraint = is->constraint, .lagrangian = is->lagrangian,
                           .name = is->name};
-    dal_system *system = NULL;
     double state[6] = {0.4, -0.3, 0.2, 0.6, 0.5, -0.3};
     held[0] = held[1] = NULL;
-    CHECK(dal_system_new(&held[0], &def, NULL) == 0);
+    held[0] = new_system(&def);
     if (kind == DAL_NONLINEAR)
-        CHECK(dal_system_deform(&held[1], held[0], product, NULL, 0.3, kind, 0, NULL) == 0);
+        held[1] = open_deformed(held[0], product, NULL, 0.3, kind, 0);
     def = held[held[1] ? 1 : 0]->def; /* again, with the callbacks and the context of that one */
     dal_mechanics *const mech = open_mechanics(held[held[1] ? 1 : 0]);
     CHECK(dal_project(mech, 0.0, 0.0, state, NULL) == 0);
-    dal_mechanics_free(mech);
     def.state = state;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
-    return system;
-}
-
-static void close_with_state(dal_system *system, dal_system *held[2])
-{
-    dal_system_free(system);
-    dal_system_free(held[1]);
-    dal_system_free(held[0]);
+    return new_system(&def);
 }
 
 static void test_system(dal_system *system)
@@ -530,20 +480,16 @@ int main(void)
         test_system(system);
         for (size_t j = 0; !vector_systems[k].mass && j < ORDERS; j++)
             test_order(system, orders[j].scheme, orders[j].stride, orders[j].h, orders[j].order);
-        close_with_state(system, held);
     }
     dal_system *const generic4 = open_system("generic4"), *const disk = open_system("disk");
     test_system(generic4);
     test_system(disk);
     for (size_t j = 0; j < ORDERS; j++)
         test_order(generic4, orders[j].scheme, orders[j].stride, orders[j].h, orders[j].order);
-    dal_system_free(disk);
-    dal_system_free(generic4);
     dal_system *const bent = with_state(&vector_systems[1], DAL_NONLINEAR, held);
     test_curve(bent);
     test_order(bent, "midpoint", 1, 0.05, 2);
     test_order(bent, "midpoint-kl8", 1, 0.1, 4);
-    close_with_state(bent, held);
     test_large_angles();
     test_changes();
     test_branches();

@@ -95,13 +95,11 @@ static int constraint(double t, const double *q, const double *v, double *phi, d
 static int examine_def(const dal_system_def *def, const double *x, dal_check *report,
                        dal_error *error)
 {
-    dal_system *system = NULL;
     dal_error made;
-    CHECK(dal_system_new(&system, def, &made) == 0);
+    dal_system *const system = new_system(def);
     if (!system) fprintf(stderr, "%s\n", made.text);
     memset(report, 0x7f, sizeof *report);
     const int status = dal_system_check(system, 0.0, x, report, error);
-    dal_system_free(system);
     return status;
 }
 
@@ -132,10 +130,9 @@ static void test_builtins(void)
 {
     for (size_t i = 0; i < dal_builtin_count(); i++) {
         double x[64];
-        dal_system *system = NULL;
         dal_check report;
         dal_error error;
-        CHECK(dal_system_builtin(&system, dal_builtin_name(i), NULL, NULL, 0, NULL) == 0);
+        dal_system *const system = open_system(dal_builtin_name(i));
         const size_t n = dal_system_n(system);
         CHECK(2 * n <= 64 && dal_system_state(system, x) == 0);
         CHECK(dal_system_check(system, 0.0, x, &report, &error) == 0);
@@ -154,18 +151,16 @@ static void test_builtins(void)
         CHECK(report.V_q.error < 3e-12 * 10 && report.V_qq.error < 3e-12 * 10); /* |V| <= 10 */
         CHECK(report.V_q.checked == report.V_qq.checked);
         CHECK(report.linearity == 0.0 && report.residual <= 4 * (double)n * DAL_ROUNDOFF);
-        dal_system_free(system);
+        release(system);
     }
 }
 
 static void examine_builtin(const char *name, dal_check *report)
 {
     double x[64];
-    dal_system *system = NULL;
-    CHECK(dal_system_builtin(&system, name, NULL, NULL, 0, NULL) == 0);
+    dal_system *const system = open_system(name);
     CHECK(dal_system_state(system, x) == 0);
     CHECK(dal_system_check(system, 0.0, x, report, NULL) == 0);
-    dal_system_free(system);
 }
 
 /* Curvature, condition and eigenvalues by hand; a few roundings of numbers of order 1. */
@@ -229,15 +224,11 @@ static void test_generic(void)
 
     /* The condition is the root of that of C, a full 2 x 2 matrix. */
     double x[8], C[4];
-    dal_system *system = NULL;
-    dal_mechanics *mechanics = NULL;
+    dal_mechanics *const mechanics = open_mechanics(open_system("generic4"));
     generic4_state(x);
-    CHECK(generic4_new(&system, NULL) == 0 && dal_mechanics_new(&mechanics, system, NULL) == 0);
     CHECK(dal_gram(mechanics, 0.0, x, C) == 0);
     const double mean = (C[0] + C[3]) / 2, radius = hypot((C[0] - C[3]) / 2, C[1]);
     CHECK_NEAR(report.condition, sqrt((mean + radius) / (mean - radius)), 64 * DBL_EPSILON);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 
     /* phi is not asked for elsewhere: a callback that ignores it is right. */
     spoiled silent = {.wrong = NO_PHI};
@@ -367,10 +358,8 @@ static void test_off_D(void)
                                 .ctx = &s};
     dal_check report;
     CHECK(examine_def(&def, x, &report, NULL) == 0 && !report.passed);
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     CHECK_NEAR(report.residual, residual_of(system, 0.0, x), 16 * DBL_EPSILON);
-    dal_system_free(system);
     CHECK(finds(&report, "violates the constraint"));
 }
 
@@ -1127,10 +1116,9 @@ static void test_every_call(double written, int returned, int expected)
 static void test_arguments(void)
 {
     double x[8];
-    dal_system *system = NULL;
     dal_check report, untouched;
     dal_error error;
-    CHECK(generic4_new(&system, &error) == 0);
+    dal_system *const system = open_system("generic4");
     memset(&untouched, 0x7f, sizeof untouched);
     report = untouched;
     generic4_state(x);
@@ -1145,7 +1133,6 @@ static void test_arguments(void)
     CHECK(dal_system_check(system, 0.0, x, &report, &error) == DAL_EINVAL
           && says(error.text, "x[6]"));
     CHECK(memcmp(&report, &untouched, sizeof report) == 0);
-    dal_system_free(system);
 }
 
 /* Numbers at the ends of the range of double: what is found does not matter, only that the

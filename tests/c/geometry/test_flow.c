@@ -1,7 +1,6 @@
 /* The reference flow against end states known to 40 digits, and what it does when it fails. */
+#include "fixtures.h"
 #include "check.h"
-#include "generic4.h"
-#include "step/step.h"
 
 #include <gsl/gsl_errno.h>
 
@@ -23,28 +22,12 @@ static double distance(size_t count, const double *x, const double *y)
     return most;
 }
 
-static dal_system *open_system(const char *name, double *x)
+/* A system, and its default state. */
+static dal_system *open_with_state(const char *name, double *x)
 {
-    dal_system *system = NULL;
-    dal_error error;
-    if (strcmp(name, "generic4") == 0) CHECK(generic4_new(&system, &error) == 0);
-    else CHECK(dal_system_builtin(&system, name, NULL, NULL, 0, &error) == 0);
+    dal_system *const system = open_system(name);
     CHECK(dal_system_state(system, x) == 0);
     return system;
-}
-
-static dal_flow *open_flow_in(dal_flow_coordinates coordinates, const dal_system *system,
-                              dal_flow_method method, double tolerance)
-{
-    dal_flow *flow = NULL;
-    dal_error error;
-    CHECK(dal_flow_new(&flow, system, method, coordinates, tolerance, &error) == 0);
-    return flow;
-}
-
-static dal_flow *open_flow(const dal_system *system, dal_flow_method method, double tolerance)
-{
-    return open_flow_in(DAL_FLOW_X, system, method, tolerance);
 }
 
 /* ---- accuracy --------------------------------------------------------------------------- */
@@ -140,15 +123,14 @@ static void test_claims(void)
         push by = cases[i].by;
         const dal_system_def def = {.n = 1, .mass = mass, .force = pushing, .ctx = &by,
                                     .missing = DAL_MISSING_F_Q | DAL_MISSING_F_V};
-        dal_system *system = NULL;
         double exact[2] = {0};
-        CHECK(dal_system_new(&system, &def, NULL) == 0);
+        dal_system *const system = new_system(&def);
         pushed(by, cases[i].t0, cases[i].t1, exact);
         for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_RODAS; method++)
             for (int digits = 4; digits <= (brief() ? 4 : 10); digits += 3) {
                 if (method == DAL_FLOW_MSADAMS && by >= STEP) continue; /* see the header */
                 double x[2] = {0.0, 1.0}, accuracy;
-                dal_flow *flow = open_flow(system, method, pow(10.0, -digits));
+                dal_flow *flow = open_flow(system, method, DAL_FLOW_X, pow(10.0, -digits));
                 CHECK(dal_flow_apply(flow, cases[i].t0, cases[i].t1, x, &accuracy) == 0);
                 CHECK_NEAR(distance(2, x, exact), 0.0, 10.0 * accuracy);
                 /* what rounds the state, and moves the time by an ulp */
@@ -160,9 +142,9 @@ static void test_claims(void)
                                   + 10.0 * DAL_ROUNDOFF * fabs(cases[i].t0);
                 CHECK(accuracy <= most || by == PULSE); /* that one of the two may have missed */
                 CHECK(accuracy <= 100 * DAL_ROUNDOFF || span > 1e-9 || cases[i].t0 != 0.0);
-                dal_flow_free(flow);
+                release(flow);
             }
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -175,9 +157,9 @@ static void test_reference(dal_flow_method method, double tolerance, double shar
     for (size_t i = 0; i < sizeof references / sizeof references[0]; i++) {
         const struct reference *const r = &references[i];
         double x0[MOST], x[MOST], back[MOST], accuracy, residual;
-        dal_system *system = open_system(r->system, x0);
+        dal_system *system = open_with_state(r->system, x0);
         const size_t n = dal_system_n(system);
-        dal_flow *flow = open_flow(system, method, tolerance);
+        dal_flow *flow = open_flow(system, method, DAL_FLOW_X, tolerance);
 
         memcpy(x, x0, sizeof x);
         CHECK(dal_flow_apply(flow, 0.0, r->t, x, &accuracy) == 0);
@@ -187,8 +169,7 @@ static void test_reference(dal_flow_method method, double tolerance, double shar
         CHECK(2.0 * accuracy >= distance(2 * n, x, r->x));
         CHECK(accuracy <= 10 * share * tolerance * r->t);
 
-        dal_mechanics *mechanics = NULL;
-        CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+        dal_mechanics *const mechanics = open_mechanics(system);
         CHECK(dal_relative_residual(mechanics, 0.0, 0.0, x, &residual) == 0);
         CHECK(residual <= DAL_RESIDUAL_BOUND(n));
 
@@ -197,9 +178,7 @@ static void test_reference(dal_flow_method method, double tolerance, double shar
         CHECK_NEAR(distance(2 * n, back, x0), 0.0, 10 * share * tolerance * r->t);
         CHECK(dal_flow_error(flow)->text[0] == '\0');
 
-        dal_mechanics_free(mechanics);
-        dal_flow_free(flow);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -208,10 +187,9 @@ static void test_reference(dal_flow_method method, double tolerance, double shar
 static void test_small_intervals(dal_flow_method method)
 {
     double x0[MOST], x[MOST], slope[MOST], accuracy;
-    dal_system *system = open_system("generic4", x0);
-    dal_flow *flow = open_flow(system, method, 1e-13);
-    dal_mechanics *mechanics = NULL;
-    CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+    dal_system *system = open_with_state("generic4", x0);
+    dal_flow *flow = open_flow(system, method, DAL_FLOW_X, 1e-13);
+    dal_mechanics *const mechanics = open_mechanics(system);
     CHECK(dal_field(mechanics, 0.0, x0, slope) == 0);
     for (int sign = -1; sign <= 1; sign += 2) {
         const double h = sign * 1e-12;
@@ -228,9 +206,6 @@ static void test_small_intervals(dal_flow_method method)
     memcpy(x, x0, sizeof x);
     CHECK(dal_flow_apply(flow, 2.5, 2.5, x, &accuracy) == 0);
     CHECK(accuracy == 0.0 && memcmp(x, x0, sizeof x) == 0);
-    dal_mechanics_free(mechanics);
-    dal_flow_free(flow);
-    dal_system_free(system);
 }
 
 /* Off D the field is defined by the same formula and keeps mu v; dal__flow_apply without the
@@ -238,10 +213,9 @@ static void test_small_intervals(dal_flow_method method)
 static void test_off_D(void)
 {
     double x[MOST], projected[MOST], rows[4 * MOST], before[2], after[2], residual[2];
-    dal_system *system = open_system("generic4", x);
-    dal_flow *flow = open_flow(system, DAL_FLOW_RK8PD, 1e-13);
-    dal_mechanics *mechanics = NULL;
-    CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+    dal_system *system = open_with_state("generic4", x);
+    dal_flow *flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
+    dal_mechanics *const mechanics = open_mechanics(system);
     x[4] += 0.25;
     memcpy(projected, x, sizeof x);
     memcpy(rows, x, sizeof x);
@@ -259,9 +233,6 @@ static void test_off_D(void)
     CHECK_NEAR(distance(8, x, projected), 0.0, 1e-10); /* nor before the end */
     CHECK(dal_flow_trajectory(flow, 0.0, 3.0, 3, rows, NULL) == 0);
     CHECK_NEAR(distance(8, rows + 3 * 8, projected), 0.0, 1e-10);
-    dal_mechanics_free(mechanics);
-    dal_flow_free(flow);
-    dal_system_free(system);
 }
 
 /* The rows of a trajectory are the flow's, forwards and backwards, also where they are dense. */
@@ -270,10 +241,9 @@ static void test_trajectory(dal_flow_method method, double h)
     enum { STEPS = 40 };
     double x0[MOST], x[MOST], rows[(STEPS + 1) * 8], residual;
     size_t done = 0;
-    dal_system *system = open_system("generic4", x0);
-    dal_flow *flow = open_flow(system, method, 1e-11);
-    dal_mechanics *mechanics = NULL;
-    CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+    dal_system *system = open_with_state("generic4", x0);
+    dal_flow *flow = open_flow(system, method, DAL_FLOW_X, 1e-11);
+    dal_mechanics *const mechanics = open_mechanics(system);
     memcpy(rows, x0, sizeof x0);
     CHECK(dal_flow_trajectory(flow, 1.5, h, STEPS, rows, &done) == 0);
     CHECK(done == STEPS);
@@ -284,9 +254,6 @@ static void test_trajectory(dal_flow_method method, double h)
         CHECK(dal_relative_residual(mechanics, 0.0, 0.0, rows + 8 * k, &residual) == 0);
         CHECK(residual <= DAL_RESIDUAL_BOUND(4));
     }
-    dal_mechanics_free(mechanics);
-    dal_flow_free(flow);
-    dal_system_free(system);
 }
 
 /* ---- failures --------------------------------------------------------------------------- */
@@ -342,10 +309,8 @@ static int faulty_constraint(double t, const double *q, const double *v, double 
 
 static dal_system *plane(dal_potential_fn potential, void *ctx)
 {
-    dal_system *system = NULL;
     const dal_system_def def = {.n = 2, .mass = identity, .potential = potential, .ctx = ctx};
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
-    return system;
+    return new_system(&def);
 }
 
 /* A callback that fails for good, from the k-th call on, for every k of both integrations. */
@@ -356,9 +321,8 @@ static void test_failing(dal_flow_method method, dal_flow_coordinates coordinate
     fault f = {.answer = answer, .from = SIZE_MAX, .until = SIZE_MAX};
     const dal_system_def def = {.n = 2, .m = 1, .mass = identity, .potential = faulty_potential,
                                 .constraint = faulty_constraint, .ctx = &f};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
-    dal_flow *flow = open_flow_in(coordinates, system, method, 1e-4);
+    dal_system *const system = new_system(&def);
+    dal_flow *flow = open_flow(system, method, coordinates, 1e-4);
     double x[4], accuracy;
     memcpy(x, x0, sizeof x);
     f.call = 0;
@@ -375,8 +339,6 @@ static void test_failing(dal_flow_method method, dal_flow_coordinates coordinate
               || strstr(dal_flow_error(flow)->text, "constraint"));
         if (expected == DAL_EUSER) CHECK(f.call == k + 1); /* stop means stop */
     }
-    dal_flow_free(flow);
-    dal_system_free(system);
 }
 
 /* One refused evaluation costs a shorter step, not the run; and the next run is as good as new. */
@@ -386,7 +348,7 @@ static void test_recovery(dal_flow_method method)
     const double exact[4] = {cos(2.0), 0.5 * sin(2.0), -sin(2.0), 0.5 * cos(2.0)};
     fault f = {.from = SIZE_MAX, .until = SIZE_MAX};
     dal_system *system = plane(faulty_potential, &f);
-    dal_flow *flow = open_flow(system, method, 1e-9);
+    dal_flow *flow = open_flow(system, method, DAL_FLOW_X, 1e-9);
     double x[4];
     memcpy(x, x0, sizeof x);
     CHECK(dal_flow_apply(flow, 0.0, 2.0, x, NULL) == 0);
@@ -398,8 +360,6 @@ static void test_recovery(dal_flow_method method)
         CHECK(f.call > k);
         CHECK_NEAR(distance(4, x, exact), 0.0, 1e-6); /* 1000 tolerances */
     }
-    dal_flow_free(flow);
-    dal_system_free(system);
 }
 
 /* V = -|q|^4 / 4: q'' = |q|^2 q; from q = (1, 0), v = (1/sqrt 2, 0) the state is infinite at
@@ -426,7 +386,7 @@ static void test_collapse(dal_flow_method method)
 {
     const double x0[4] = {1.0, 0.0, sqrt(0.5), 0.0};
     dal_system *system = plane(explosive_potential, NULL);
-    dal_flow *flow = open_flow(system, method, 1e-6);
+    dal_flow *flow = open_flow(system, method, DAL_FLOW_X, 1e-6);
     double x[4], rows[11 * 4];
     memcpy(x, x0, sizeof x);
     CHECK(dal_flow_apply(flow, 0.0, 2.0, x, NULL) == DAL_ENOCONV);
@@ -443,8 +403,6 @@ static void test_collapse(dal_flow_method method)
     for (size_t k = 0; k <= done; k++) /* q = sqrt 2 / (sqrt 2 - t), errors grow as q'' */
         CHECK_NEAR(rows[4 * k] / (sqrt(2.0) / (sqrt(2.0) - 0.2 * (double)k)), 1.0, 1e-2);
     for (size_t i = 4 * (done + 1); i < sizeof rows / sizeof rows[0]; i++) CHECK(rows[i] == -7.0);
-    dal_flow_free(flow);
-    dal_system_free(system);
 }
 
 /* V = 16 (|q_1| - 1/2)^4 for |q_1| > 1/2, nothing inside, and no V for |q_1| >= 1: the long steps
@@ -474,19 +432,15 @@ static void test_domain(dal_flow_method method)
 {
     size_t refusals = 0;
     dal_system *system = plane(walled_potential, &refusals);
-    dal_flow *flow = open_flow(system, method, 1e-8);
-    dal_mechanics *mechanics = NULL;
+    dal_flow *flow = open_flow(system, method, DAL_FLOW_X, 1e-8);
     double x[4] = {0.0, 0.0, 1.0, 0.0}, E0, E; /* turns at |q_1| = 0.92 */
-    CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+    dal_mechanics *const mechanics = open_mechanics(system);
     CHECK(dal_energy(mechanics, 0.0, x, &E0) == 0);
     CHECK(dal_flow_apply(flow, 0.0, 20.0, x, NULL) == 0);
     CHECK(dal_energy(mechanics, 0.0, x, &E) == 0);
     CHECK(refusals > 0);
     CHECK(fabs(x[0]) < 1.0);
     CHECK_NEAR(E, E0, 1e-5); /* 1000 tolerances */
-    dal_mechanics_free(mechanics);
-    dal_flow_free(flow);
-    dal_system_free(system);
 }
 
 /* mu = (q_1, 0): no constraint at all at q_1 = 0, where C is singular. */
@@ -507,18 +461,16 @@ static int vanishing_constraint(double t, const double *q, const double *v, doub
 
 static void test_singular(void)
 {
-    dal_system *system = NULL;
     const dal_system_def def = {.n = 2, .m = 1, .mass = identity,
                                 .constraint = vanishing_constraint};
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     for (int in = DAL_FLOW_X; in <= DAL_FLOW_XI; in++) {
-        dal_flow *flow = open_flow_in((dal_flow_coordinates)in, system, DAL_FLOW_RK8PD, 1e-9);
+        dal_flow *flow = open_flow(system, DAL_FLOW_RK8PD, (dal_flow_coordinates)in, 1e-9);
         double x[4] = {0.0, 0.0, 0.0, 1.0};
         CHECK(dal_flow_apply(flow, 0.0, 1.0, x, NULL) == DAL_ESINGULAR);
         CHECK(strstr(dal_flow_error(flow)->text, "constraints[0] vanishes here") != NULL);
-        dal_flow_free(flow);
+        release(flow);
     }
-    dal_system_free(system);
 }
 
 /* V = stiffness q_1^2 / 2; the stiffness is the ctx. */
@@ -559,8 +511,8 @@ static void test_long_interval(dal_flow_method method, double tolerance, int t, 
     const double speed = 0.51;
     if (brief()) t /= 50;
     double exact[6], x[6], start[6];
-    dal_system *system = open_system("knife_edge", start);
-    dal_flow *flow = open_flow(system, method, tolerance);
+    dal_system *system = open_with_state("knife_edge", start);
+    dal_flow *flow = open_flow(system, method, DAL_FLOW_X, tolerance);
     slide(0.0, speed, start);
     slide(t, speed, exact);
     memcpy(x, start, sizeof x);
@@ -571,8 +523,6 @@ static void test_long_interval(dal_flow_method method, double tolerance, int t, 
     CHECK(dal_flow_trajectory(flow, 0.0, 1.0, (size_t)t, rows, NULL) == 0);
     CHECK(distance(6, rows + t * 6, exact) < bound);
     free(rows);
-    dal_flow_free(flow);
-    dal_system_free(system);
 }
 
 /* A spring of stiffness 1e8 that is almost at rest: rodas steps over it, which it can only with the
@@ -584,15 +534,14 @@ static void test_stiff(void)
     size_t evaluations[2];
     const dal_flow_method methods[2] = {DAL_FLOW_RK8PD, DAL_FLOW_RODAS};
     for (size_t i = 0; i < 2; i++) {
-        dal_flow *flow = open_flow(system, methods[i], 1e-4);
+        dal_flow *flow = open_flow(system, methods[i], DAL_FLOW_X, 1e-4);
         double x[4] = {1e-9, 0.0, 0.0, 1.0};
         CHECK(dal_flow_apply(flow, 0.0, 10.0, x, NULL) == 0);
         CHECK_NEAR(x[1], 10.0, 1e-2);
         evaluations[i] = dal_flow_evaluations(flow);
-        dal_flow_free(flow);
+        release(flow);
     }
     CHECK(20 * evaluations[1] < evaluations[0]);
-    dal_system_free(system);
 }
 
 /* 1/(gamma h) - J of rodas is singular for gamma h sqrt(k) = 1, gamma = 1/4: intervals and
@@ -603,7 +552,7 @@ static void test_unstable_rodas(void)
     for (int exponent = 0; exponent <= 40; exponent += 2) {
         double stiffness = -ldexp(1.0, exponent);
         dal_system *system = plane(spring_potential, &stiffness);
-        dal_flow *flow = open_flow(system, DAL_FLOW_RODAS, 1e-9);
+        dal_flow *flow = open_flow(system, DAL_FLOW_RODAS, DAL_FLOW_X, 1e-9);
         const double unit = ldexp(1.0, -exponent / 2);
         for (int factor = 1; factor <= 4; factor++) {
             double x[4] = {1e-3, 0.0, 0.0, 0.0};
@@ -614,8 +563,7 @@ static void test_unstable_rodas(void)
         double rows[9 * 4] = {1e-3}; /* whole rows in one step */
         CHECK(dal_flow_trajectory(flow, 0.0, unit, 8, rows, NULL) == 0);
         CHECK_NEAR(rows[8 * 4] / (1e-3 * cosh(8.0)), 1.0, 1e-3);
-        dal_flow_free(flow);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -644,9 +592,8 @@ static void test_friction(void)
     for (int exponent = 0; exponent <= 300; exponent += exponent >= 18 ? 22 : brief() ? 6 : 1) {
         double c = pow(10.0, exponent);
         const dal_system_def def = {.n = 2, .mass = identity, .force = friction, .ctx = &c};
-        dal_system *system = NULL;
-        CHECK(dal_system_new(&system, &def, NULL) == 0);
-        dal_flow *flow = open_flow(system, DAL_FLOW_RODAS, 1e-6);
+        dal_system *const system = new_system(&def);
+        dal_flow *flow = open_flow(system, DAL_FLOW_RODAS, DAL_FLOW_X, 1e-6);
         const double x0[4] = {0.0, 0.0, 1.0, 0.0};
         double x[4];
         memcpy(x, x0, sizeof x);
@@ -662,8 +609,7 @@ static void test_friction(void)
             CHECK(dal_flow_apply(flow, 0.0, 1e3, together, NULL) == 0);
             CHECK_NEAR(distance(4, together, (double[4]){1e3, 1e3, 1.0, 1.0}), 0.0, 1e-1);
         }
-        dal_flow_free(flow);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -672,12 +618,11 @@ static void test_friction(void)
 static void test_in_xi(const char *name, dal_flow_method method, double tolerance, bool turns)
 {
     double x0[MOST], in_x[MOST], in_xi[MOST], rows[21 * MOST], accuracy, relative;
-    dal_system *const system = open_system(name, x0);
+    dal_system *const system = open_with_state(name, x0);
     const size_t N = 2 * dal_system_n(system);
-    dal_mechanics *mech = NULL;
-    dal_flow *const plain = open_flow(system, method, tolerance);
-    dal_flow *const flow = open_flow_in(DAL_FLOW_XI, system, method, tolerance);
-    CHECK(dal_mechanics_new(&mech, system, NULL) == 0);
+    dal_flow *const plain = open_flow(system, method, DAL_FLOW_X, tolerance);
+    dal_flow *const flow = open_flow(system, method, DAL_FLOW_XI, tolerance);
+    dal_mechanics *const mech = open_mechanics(system);
     for (int sign = -1; sign <= 1; sign += 2) {
         memcpy(in_x, x0, sizeof in_x);
         memcpy(in_xi, x0, sizeof in_xi);
@@ -699,10 +644,6 @@ static void test_in_xi(const char *name, dal_flow_method method, double toleranc
     CHECK(dal_flow_apply(plain, 0.0, 10.0, in_x, NULL) == 0);
     CHECK_NEAR(distance(N, in_x, rows + 20 * N), 0.0,
                1e3 * tolerance * (1.0 + distance(N, in_x, x0)));
-    dal_flow_free(flow);
-    dal_flow_free(plain);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* A change of chart costs no accuracy, as the integrator begins anew there.  The slope of the chart
@@ -714,15 +655,14 @@ static void test_turns(const char *name)
         const struct reference *const r = &references[i];
         if (strcmp(r->system, name) != 0 || r->t != 10) continue;
         double x0[MOST], x[MOST];
-        dal_system *const system = open_system(name, x0);
+        dal_system *const system = open_with_state(name, x0);
         const size_t N = 2 * dal_system_n(system);
-        dal_flow *flow = open_flow_in(DAL_FLOW_XI, system, DAL_FLOW_RK8PD, tolerance);
+        dal_flow *flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_XI, tolerance);
         memcpy(x, x0, sizeof x);
         CHECK(dal_flow_apply(flow, 0.0, r->t, x, NULL) == 0);
         const size_t changes = dal_flow_chart_changes(flow);
         CHECK_NEAR(distance(N, x, r->x), 0.0, (double)(5 + changes) * tolerance);
-        dal_flow_free(flow);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -730,7 +670,7 @@ static void test_arguments(void)
 {
     double x0[MOST] = {0}, x[MOST], accuracy = -1.0;
     dal_error error;
-    dal_system *system = open_system("particle", x0);
+    dal_system *system = open_with_state("particle", x0);
     dal_flow *const none = NULL;
     dal_flow *flow = none;
     CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, (dal_flow_coordinates)5, 1e-9, &error)
@@ -747,7 +687,7 @@ static void test_arguments(void)
     CHECK(strstr(error.text, "tolerance = inf") != NULL);
     CHECK(flow == none);
 
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 0.1, &error) == 0);
+    flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 0.1);
     memcpy(x, x0, sizeof x);
     CHECK(dal_flow_apply(NULL, 0.0, 1.0, x, NULL) == DAL_EINVAL);
     CHECK(dal_flow_apply(flow, 0.0, 1.0, NULL, NULL) == DAL_EINVAL);
@@ -761,9 +701,7 @@ static void test_arguments(void)
     x[4] = NAN;
     CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &accuracy) == DAL_EINVAL);
     CHECK(strstr(dal_flow_error(flow)->text, "x[4]") != NULL);
-    dal_flow_free(flow);
     dal_flow_free(NULL);
-    dal_system_free(system);
 }
 
 /* Returns what stands in ctx. */
@@ -778,9 +716,9 @@ static int answer(double t, void *ctx)
 static void test_watch(dal_flow_method method, dal_flow_coordinates coordinates)
 {
     double x0[MOST], x[MOST], expected[MOST], rows[3 * MOST];
-    dal_system *const system = open_system("particle_oscillator", x0);
+    dal_system *const system = open_with_state("particle_oscillator", x0);
     const size_t bytes = 2 * dal_system_n(system) * sizeof *x;
-    dal_flow *flow = open_flow_in(coordinates, system, method, 1e-9);
+    dal_flow *flow = open_flow(system, method, coordinates, 1e-9);
     memcpy(expected, x0, bytes);
     CHECK(dal_flow_apply(flow, 0.0, 1.0, expected, NULL) == 0);
     for (int returned = -1; returned <= 1; returned += 2) {
@@ -800,8 +738,6 @@ static void test_watch(dal_flow_method method, dal_flow_coordinates coordinates)
     CHECK(dal_flow_apply(flow, 0.0, 1.0, x, NULL) == 0);
     CHECK(memcmp(x, expected, bytes) == 0);
     dal_flow_watch(NULL, NULL, NULL);
-    dal_flow_free(flow);
-    dal_system_free(system);
 }
 
 int main(void)

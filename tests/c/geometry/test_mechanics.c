@@ -63,9 +63,7 @@ static void test_particle(void)
     CHECK(memcmp(alias, xdot, sizeof alias) == 0);
     const double rest[6] = {0.5, 0.3, -0.2, 0, 0, 0};
     CHECK(dal_relative_residual(mech, 0.0, 0.0, rest, &relative) == 0 && relative == 0.0);
-    dal_mechanics_free(mech);
     dal_mechanics_free(NULL);
-    dal_system_free(system);
 }
 
 /* E and C with full M from their definitions. */
@@ -328,8 +326,6 @@ static void test_consistent(void)
             CHECK_NEAR(inner, 0.0, 1e3 * ROUNDOFF * (1 + size) * (1 + scale));
         }
     }
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* A free part that is singular but for roundoff is refused, or the velocity found is consistent: of
@@ -338,7 +334,7 @@ static void test_consistent_or_refused(void)
 {
     enum { SIZE = 6, STATES = 100 };
     dal_system *system;
-    CHECK(dal_system_builtin(&system, "n_trailer", NULL, NULL, 0, NULL) == DAL_SUCCESS);
+    system = open_system("n_trailer");
     dal_mechanics *const mech = open_mechanics(system);
     size_t found = 0, refused = 0;
     for (unsigned pattern = 1; pattern < 1u << SIZE; pattern++)
@@ -359,8 +355,6 @@ static void test_consistent_or_refused(void)
         }
     CHECK(found + refused == ((1u << SIZE) - 1) * STATES);
     CHECK(found > STATES && refused > STATES);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* ---- the equations of a step ---------------------------------------------------------------- */
@@ -388,8 +382,6 @@ static void test_equations_by_hand(void)
     CHECK_NEAR(B[0], -y1, 2 * U);
     CHECK_NEAR(B[1], -0.05 * w[0], U);
     CHECK(B[2] == 1.0);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* K = dR1/dw, B = dR2/dw, -mu_k^T = dR1/dkappa by central differences with d = 2^-17: they err by
@@ -500,10 +492,9 @@ static void test_errors(void)
 {
     const double mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     const dal_system_def def = {.n = 3, .m = 2, .mass = mass, .constraint = degenerate};
-    dal_system *system = NULL;
     dal_mechanics *mech = NULL;
     dal_error error;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     CHECK(dal_mechanics_new(NULL, system, &error) == DAL_EINVAL);
     CHECK(dal_mechanics_new(&mech, NULL, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "system is NULL") != NULL);
@@ -541,8 +532,6 @@ static void test_errors(void)
           == DAL_EINVAL);
     CHECK(dal_step_equations(mech, 0.0, 0.5, 0.1, x, x + 3, NULL, out, NULL, NULL, NULL, NULL)
           == DAL_EINVAL);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* Without constraints everything still has its meaning. */
@@ -564,8 +553,6 @@ static void test_no_constraint(void)
         CHECK_NEAR(balance[i], -force[i], ROUNDOFF * sum_of_sizes(3, force));
     test_jacobian(mech, system, x);
     test_definitions(mech, system, x);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 static void test_system(dal_system *system, unsigned seed)
@@ -586,10 +573,8 @@ static void test_system(dal_system *system, unsigned seed)
         dal_mechanics *const other = open_mechanics(mixed);
         test_mixing(mech, system, other, x);
         test_jacobian(other, mixed, x);
-        dal_mechanics_free(other);
-        dal_system_free(mixed);
+        release(mixed);
     }
-    dal_mechanics_free(mech);
 }
 
 /* ---- the edges of what a residual can say --------------------------------------------------- */
@@ -615,10 +600,7 @@ static dal_system *open_rows(rows *r, const double *mass, dal_constraint_kind ki
 {
     const dal_system_def def = {.n = r->n, .m = r->m, .mass = mass, .constraint = constant_forms,
                                 .kind = kind, .ctx = r};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "rows", error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* L = (1 + x^2) v_x^2/2 + 2 v_y^2. */
@@ -643,8 +625,7 @@ static void test_residual_of_affine(void)
                                 .missing = DAL_MISSING_L_QQ | DAL_MISSING_L_VQ,
                                 .constraint = constant_forms, .ctx = &belt};
     const double x[4] = {1.7, 0.4, 0.6, -1.1};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "belt", "");
+    dal_system *const system = new_system(&def);
     dal_mechanics *const mech = open_mechanics(system);
     for (double shift = -2.0; shift <= 2.0; shift += 1.0) {
         const double at = x[0] - shift * x[2], d = 1.0 / sqrt(1.0 + at * at);
@@ -654,20 +635,14 @@ static void test_residual_of_affine(void)
         CHECK_NEAR(relative, (2.0 * x[2] - 3.0 * x[3] + 5.0)
                                  / ((2.0 * d + 3.0 * 0.5) * speed + 5.0), 8 * U);
     }
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 
     /* to begin with, 1e-8 of the terms: those of the belt count */
     rows unit = {2, 1, {1.0, 0.0}, {-1.0}};
     const double mass[4] = {1.0, 0.0, 0.0, 1.0};
     const double near[4] = {0.0, 0.0, 1.0 + 1.5e-8, 0.0}, off[4] = {0.0, 0.0, 1.0 + 3e-8, 0.0};
-    const dal_scheme scheme = find_scheme("midpoint");
     dal_system *const simple = open_rows(&unit, mass, DAL_AFFINE);
-    dal_stepper *const stepper = open_stepper(simple, &scheme, NULL);
-    CHECK(dal_stepper_start(stepper, 0.0, 0.1, near, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_stepper *const stepper = start_named(simple, "midpoint", 0.1, near);
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, off, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EOFFD);
-    dal_stepper_free(stepper);
-    dal_system_free(simple);
 }
 
 /* A velocity across D has no part in it but roundoff, of which each projection leaves its own. */
@@ -695,8 +670,7 @@ static void test_across(void)
             CHECK(dal_consistent(mech, 0.0, keep, x, &distance) == 0);
             CHECK_NEAR(sum_of_sizes(3, x + 3), 0.0, 1e-12);
         }
-        dal_mechanics_free(mech);
-        dal_system_free(system);
+        release(system);
     }
     /* a small part in D stays; large numbers have a distance; what overflows is not zero */
     rows wall = {2, 1, {1.0, 0.0}, {0.0}};
@@ -709,8 +683,6 @@ static void test_across(void)
     wall.mu[0] = 1e10;
     const double fast[4] = {0.0, 0.0, 1e300, 0.0};
     CHECK(dal_relative_residual(mech, 0.0, 0.0, fast, &d) == DAL_EDOMAIN && d == 1e200);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* How large the form of a coordinate is that is kept does not matter. */
@@ -724,8 +696,6 @@ static void test_kept_units(void)
     dal_mechanics *const mech = open_mechanics(system);
     CHECK(dal_consistent(mech, 0.0, keep, x, NULL) == 0);
     CHECK_NEAR(x[3], -1.0, 4 * U);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* Where the product of the sizes of mu and v overflows, and the residual does not. */
@@ -748,8 +718,6 @@ static void test_residual_of_large_numbers(void)
     double C = (double)NAN;
     CHECK(dal_gram(mech, 0.0, fast, &C) == DAL_SUCCESS);
     CHECK_NEAR(C, 1e20, 1e6);
-    dal_mechanics_free(mech);
-    dal_system_free(particle);
 }
 
 /* The equations of a step want M where it ends too; that is not the metric where it began. */
@@ -767,8 +735,6 @@ static void test_metric_stands(void)
     CHECK(dal__renew_metric(mech, 0.0, x, x + n) == 0);
     CHECK(memcmp(mech->metric.M, here, n * n * sizeof *here) == 0);
     CHECK(memcmp(mech->L_vv, here, n * n * sizeof *here) != 0);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 int main(void)
@@ -779,12 +745,11 @@ int main(void)
         dal_system *const system = open_system(all_systems[s]);
         test_system(system, 1);
         test_system(system, 2);
-        dal_system_free(system);
+        release(system);
     }
     wide w;
     dal_system *const large = open_wide(&w, 12, 6, true, true);
     test_system(large, 1);
-    dal_system_free(large);
     test_consistent();
     test_consistent_or_refused();
     test_residual_of_affine();

@@ -27,10 +27,7 @@ static dal_system *make(void)
     static const double mass[9] = {2.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.75};
     const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .potential = potential,
                                 .constraint = constraint};
-    dal_error error;
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, &error), "system", error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* text[begin..end) is words, and row, column and value are those of the entry. */
@@ -70,8 +67,7 @@ static void test_run(void)
         CHECK(dal_stepper_start(stepper, 0.0, (double)NAN, x, DAL_CHECK, DAL_INITIAL_NONE)
               == DAL_EINVAL);
         CHECK(!error->output && error->end == 0 && strstr(error->text, "h = nan"));
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -95,7 +91,6 @@ static void test_check(void)
     CHECK(check.finding.output && strcmp(check.finding.output, "D") == 0);
     CHECK(strncmp(check.finding.text + check.finding.begin, "D is not integrable", 19) == 0);
     CHECK(check.finding.end == strlen(check.finding.text));
-    dal_system_free(system);
 }
 
 int main(void)

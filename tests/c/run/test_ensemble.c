@@ -33,11 +33,7 @@ static dal_system *open_member(const char *name, size_t member, double *values)
         if (strcmp(names[i], "trailers") != 0 && strcmp(names[i], "pairs") != 0)
             values[i] *= 1.0 + 0.05 * sin((double)(3 * member + i));
     }
-    dal_system *system;
-    dal_error error = {0};
-    need(dal_system_builtin(&system, name, names, values, count, &error), name, error.text);
-    dal_system_free(like);
-    return system;
+    return open_builtin(name, count, names, values);
 }
 
 static dal_stepper *start_member(const dal_system *system, const dal_scheme *scheme, double h)
@@ -85,9 +81,7 @@ static void check_member(const char *name, const dal_scheme *scheme, double h, s
     CHECK(same(rows * m, found->multipliers[k], multipliers + from * m));
     CHECK(memcmp(&found->stats[k], &stats, sizeof stats) == 0);
     if (rows > 1 || all == 2) CHECK(same((all - 1) * m, found->reactions[k], reactions));
-    dal_mechanics_free(mech);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
+    release(system);
 }
 
 static dal_members members_of(results *to)
@@ -130,7 +124,7 @@ static void check_bits(const char *name, const char *scheme_name, double h, size
     const size_t n = dal_system_n(system), m = dal_system_m(system), steps = STEPS;
     const size_t rows = stride > 0 ? STEPS / stride + 1 : 1;
     dal_error error = {0};
-    for (size_t k = 0; k < MEMBERS; k++) dal_system_free(open_member(name, k, values[k]));
+    for (size_t k = 0; k < MEMBERS; k++) open_member(name, k, values[k]);
     dal_members members = members_of(&found);
     members.h = &h;
     members.steps = &steps;
@@ -150,7 +144,6 @@ static void check_bits(const char *name, const char *scheme_name, double h, size
     spread(&found, n, m, rows);
     for (size_t k = 0; k < MEMBERS; k++)
         check_member(name, &scheme, h, stride > 0 ? stride : STEPS, rows, &found, k);
-    dal_system_free(system);
 }
 
 static void test_bits(void)
@@ -198,8 +191,7 @@ static dal_system *open_own(const double *p)
                                 .ctx = values, .ctx_size = sizeof values, .state = state,
                                 .parameters = own_parameters};
     dal_system *system;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "own", error.text);
+    system = new_system(&def);
     return system;
 }
 
@@ -243,14 +235,12 @@ static void test_own(void)
         CHECK(!dal_stepper_start(stepper, 0.0, h, x, DAL_PROJECT, DAL_INITIAL_NONE));
         CHECK(!dal_advance(stepper, STEPS, NULL, NULL));
         CHECK(same(6, states[k], dal_stepper_state(stepper)));
-        dal_stepper_free(stepper);
-        dal_system_free(own);
+        release(own);
     }
     CHECK(strstr(errors[1].text, "not positive definite"));
     CHECK(strstr(errors[3].text, "parameters returned 1"));
     CHECK(strstr(errors[7].text, "state has an entry that is not finite"));
     CHECK(strstr(errors[8].text, "mass[0,1] = nan is not finite"));
-    dal_system_free(system);
 }
 
 /* Of built-in systems each parameter has its range, and none changes n. */
@@ -272,7 +262,6 @@ static void test_ranges(void)
     CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, 2, NULL, NULL, NULL));
     CHECK(status[0] == DAL_EINVAL && status[1] == 0);
     CHECK(strstr(errors[0].text, "parameter m of sleigh = -1: expected"));
-    dal_system_free(system);
 
     system = open_system("n_trailer");
     const size_t count = dal_system_parameters(system);
@@ -285,7 +274,6 @@ static void test_ranges(void)
     members.parameters_next = sizeof trailer[0];
     CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, 2, NULL, NULL, NULL));
     CHECK(status[0] == 0 && status[1] == DAL_EINVAL && strstr(errors[1].text, "expected n ="));
-    dal_system_free(system);
 }
 
 /* ---- events, step sizes, inputs ------------------------------------------------------------ */
@@ -366,11 +354,10 @@ static void test_events(void)
             CHECK(happened[k][1] == turns);
             ended += ended_by[k] == 0;
             dal_events_free(own);
-            dal_stepper_free(stepper);
+            release(stepper);
         }
     }
     CHECK(ended > 0 && ended < 2 * COUNT);
-    dal_system_free(system);
 }
 
 /* Where a ctx is NULL an event has the parameters of its member.  The first ends within a step, and
@@ -392,7 +379,6 @@ static void test_parameters_of_events(void)
     for (size_t k = 0; k < 4; k++)
         if (p[k][1] > 0.0) CHECK_NEAR(states[k][0], p[k][1], 1e-12);
         else CHECK(states[k][0] > 2.0); /* it began behind its wall */
-    dal_system_free(system);
 }
 
 /* ---- inputs, what is measured --------------------------------------------------------------- */
@@ -434,8 +420,7 @@ static void test_inputs(void)
     int status[COUNT];
     static dal_error errors[COUNT];
     dal_system *system;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "pushed", error.text);
+    system = new_system(&def);
     for (size_t k = 0; k < COUNT; k++) {
         for (size_t i = 0; i < PUSHES; i++) u[k][i] = 1.0 + (double)(k + i);
         memcpy(x[k], (double[4]){0.0, 0.0, 1.0, k == 2 ? 1.5 : 0.1}, sizeof x[k]);
@@ -455,13 +440,12 @@ static void test_inputs(void)
         const size_t good = k == 2 ? 3 : ROWS; /* at t = 3/4 it is beyond the wall, and goes on */
         CHECK(status[k] == DAL_SUCCESS && same(4 * ROWS, states[k], rows));
         CHECK(isfinite(energy[k][good - 1]) && (k != 2 || isnan(energy[k][good])));
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     dal_members at_end = members;
     at_end.stride = 0;
     CHECK(!dal_ensemble_run(system, &scheme, NULL, &at_end, 0, COUNT, NULL, NULL, NULL));
     for (size_t k = 0; k < COUNT; k++) CHECK(status[k] == 0 && isnan(energy[0][k]) == (k == 2));
-    dal_system_free(system);
 }
 
 static int brake(double t, const double *x, double *u, void *ctx)
@@ -493,8 +477,7 @@ static void test_control(void)
     double states[COUNT][4];
     const dal_law law = {.values = brake, .count = 1, .ctx = (void *)&c};
     dal_system *system;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "braked", error.text);
+    system = new_system(&def);
     const dal_members members = {.count = COUNT, .x = x, .h = &h, .steps = steps, .steps_next = 1,
                                  .control = &law, .hold = 2, .states = states[0]};
     CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, COUNT, NULL, NULL, NULL));
@@ -509,7 +492,6 @@ static void test_control(void)
     refused.status = status;
     CHECK(!dal_ensemble_run(system, &scheme, NULL, &refused, 0, COUNT, NULL, NULL, NULL));
     for (size_t k = 0; k < COUNT; k++) CHECK(status[k] == DAL_EINVAL);
-    dal_system_free(system);
 }
 
 /* ---- stopping, threads, refusals ------------------------------------------------------------ */
@@ -535,7 +517,6 @@ static void test_stopping(const char *name, double h)
         CHECK(found.status[k] == DAL_STOPPED && isnan(found.states[0][6 * k]));
         CHECK(found.done[k] < steps && (k == 2 || isnan(found.t_end[k])));
     }
-    dal_system_free(system);
 }
 
 typedef struct task {
@@ -562,7 +543,7 @@ static void test_threads(void)
     dal_system *const system = open_system("sleigh");
     const double h = 0.01;
     const size_t steps = 200;
-    for (size_t k = 0; k < COUNT; k++) dal_system_free(open_member("sleigh", k, values[k]));
+    for (size_t k = 0; k < COUNT; k++) open_member("sleigh", k, values[k]);
     dal_members members = {.count = COUNT, .parameters = values,
                            .parameters_next = sizeof values[0], .h = &h, .steps = &steps,
                            .states = alone[0]};
@@ -582,7 +563,6 @@ static void test_threads(void)
         CHECK(tasks[i].status == 0);
     }
     CHECK(memcmp(alone, together, sizeof alone) == 0);
-    dal_system_free(system);
 }
 
 static dal_system *open_stateless(void)
@@ -590,7 +570,7 @@ static dal_system *open_stateless(void)
     static const double mass[1] = {1.0};
     const dal_system_def def = {.n = 1, .mass = mass};
     dal_system *system;
-    need(dal_system_new(&system, &def, NULL), "stateless", "");
+    system = new_system(&def);
     return system;
 }
 
@@ -606,7 +586,7 @@ static void test_refusals(void)
     const dal_law law = {.values = brake, .count = 1, .ctx = (void *)&number};
     const dal_system_def pushable = {.n = 1, .mass = &number, .force = pushed, .inputs = 1};
     dal_system *driven;
-    need(dal_system_new(&driven, &pushable, NULL), "driven", "");
+    driven = new_system(&pushable);
     dal_members good = {.count = 2, .h = &h, .steps = &steps};
     int status[2] = {9, 9};
     good.status = status;
@@ -637,8 +617,6 @@ static void test_refusals(void)
     REFUSED(DAL_EINVAL, nameless, &scheme, "no default initial data", (void)wrong);
 #undef REFUSED
     CHECK(status[0] == 9);
-    dal_system_free(nameless);
-    dal_system_free(driven);
     dal_error error = {0};
     CHECK(dal_ensemble_run(system, &scheme, NULL, &good, 1, 2, NULL, NULL, &error) == DAL_EINVAL);
     CHECK(dal_ensemble_run(system, &scheme, NULL, NULL, 0, 2, NULL, NULL, &error) == DAL_EINVAL);
@@ -648,8 +626,6 @@ static void test_refusals(void)
     dal_system *none;
     own_parameters(M, state, (double[2]){1.0, 1.0});
     CHECK(dal_system_new(&none, &def, &error) == DAL_EINVAL && strstr(error.text, "ctx_size"));
-    dal_system_free(system);
-    dal_system_free(own);
 }
 
 int main(void)

@@ -67,9 +67,7 @@ static dal_system *open_ball(void)
 {
     static const double mass[4] = {1.0, 0.0, 0.0, 1.0};
     const dal_system_def def = {.n = 2, .mass = mass, .potential = weight, .name = "ball"};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "ball", "");
-    return system;
+    return new_system(&def);
 }
 
 /* A plane: ctx is the coordinate (or 2 + that of the velocity) and where it is. */
@@ -148,7 +146,6 @@ static void test_bounces(const dal_system *ball, double h)
     dal_stepper_stats(stepper, &stats);
     CHECK(stats.jump_step == 0 && stats.steps == steps); /* a bounce is no jump of the energy */
     dal_events_free(events);
-    dal_stepper_free(stepper);
 }
 
 /* ---- orders --------------------------------------------------------------------------------- */
@@ -192,8 +189,6 @@ static double event_error(const dal_system *system, const char *scheme, double h
     CHECK(dal_relative_residual(mechanics, s.t[0], 0.0, s.x[0], residual) == 0);
     const double error = fmax(largest_difference(6, s.x[0], x), fabs(s.t[0] - t));
     dal_events_free(events);
-    dal_stepper_free(stepper);
-    dal_mechanics_free(mechanics);
     return error;
 }
 
@@ -219,7 +214,6 @@ static void test_orders(void)
     }
     double residual;
     CHECK(event_error(system, "reference", 0.25, &residual) < 1e-11);
-    dal_system_free(system);
 }
 
 /* ---- what only looks changes nothing, and times ---------------------------------------------- */
@@ -245,7 +239,7 @@ static void check_looking(const char *scheme, double h)
         while (run.done < STEPS) CHECK(dal_run_go(&run, looking ? 7 : SIZE_MAX) == DAL_SUCCESS);
         CHECK(run.timed == (looking ? STEPS : 0) && !run.ended);
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     CHECK(memcmp(rows, plain, sizeof rows) == 0);
     CHECK(memcmp(reactions[0], reactions[1], sizeof *reactions) == 0);
@@ -264,8 +258,6 @@ static void check_looking(const char *scheme, double h)
     }
     CHECK_NEAR(largest_difference(6, at, plain), 0.0, 4 * U);
     CHECK_NEAR(largest_difference(6, at + 6 * (STEPS - 1), plain + 6 * STEPS), 0.0, 4 * U);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* ---- near zero ------------------------------------------------------------------------------ */
@@ -303,7 +295,7 @@ static void test_grazing(const dal_system *ball)
             CHECK_NEAR(t, 1.0 / 3, 1e-6);
         }
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
 }
 
@@ -338,7 +330,7 @@ static void test_resets(const dal_system *ball)
         CHECK(s.count == 0 || s.t[s.count - 1] <= (double)run.done * 0.25);
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_EZENO); /* as before */
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     /* with steps that do not end where the bounces do */
     floor.restitution = 0.5;
@@ -351,7 +343,7 @@ static void test_resets(const dal_system *ball)
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_EZENO && (double)(run.done + 1) * h >= 2.0 - 1e-9);
         CHECK((double)run.done * h <= 2.0 + 1e-6);
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     /* many in one step */
     floor.restitution = 0.97;
@@ -361,7 +353,6 @@ static void test_resets(const dal_system *ball)
     CHECK(dal_run_go(&all, 1) == DAL_EZENO && all.done == 0);
     CHECK(strstr(dal_stepper_error(long_step)->text, "100 events in one step") != NULL);
     dal_events_free(many);
-    dal_stepper_free(long_step);
     /* into a corner: both walls, and back on the way that led there */
     plane right = {0, 1.0, 1.0}, top = {1, -2.0, 1.0};
     const dal_event corner[] = {{.g = above, .reset = bounce, .ctx = &right, .reset_ctx = &right},
@@ -381,7 +372,7 @@ static void test_resets(const dal_system *ball)
         CHECK_NEAR(x[0], 1.0 - T, 1e-12);
         CHECK_NEAR(x[1], -2.0 + (2.0 + 0.5 * g0) * T - 0.5 * g0 * T * T, 2e-11);
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     /* a floor that is watched too, by one before it in the list and one after it */
     floor = (plane){1, 0.0, 0.9};
@@ -402,7 +393,7 @@ static void test_resets(const dal_system *ball)
             CHECK_NEAR(s.t[k], s.t[k / 3 * 3], 1e-12);
         }
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     /* on a circle of length 1, several times round in a step */
     plane end = {0, 1.0, 0.0};
@@ -418,7 +409,6 @@ static void test_resets(const dal_system *ball)
     for (size_t k = 0; k < s.count; k++) CHECK_NEAR(s.t[k], 1.0 + (double)k, 1e-11);
     CHECK_NEAR(dal_stepper_state(stepper)[0] + (double)s.count, 37.0, 1e-11);
     dal_events_free(events);
-    dal_stepper_free(stepper);
 }
 
 /* ---- the end of a run ----------------------------------------------------------------------- */
@@ -453,7 +443,6 @@ static void test_terminal(const dal_system *ball)
     }
     CHECK(dal_run_go(&run, SIZE_MAX) == DAL_STOPPED && run.stored == 8 && s.count == 3);
     dal_events_free(events);
-    dal_stepper_free(stepper);
 }
 
 /* The mean force up to the end, and over a step with a reset: of the blade, by its motion. */
@@ -499,9 +488,8 @@ static void test_reactions(void)
         }
         CHECK_NEAR(reactions[0], sum, 1e-5);
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* ---- inputs --------------------------------------------------------------------------------- */
@@ -522,8 +510,7 @@ static void test_inputs(void)
     const dal_system_def def = {.n = 2, .mass = mass, .force = motor, .inputs = 1};
     const double x0[4] = {0.0, 0.0, 0.0, 0.0}, part = sqrt(0.25 - 0.2);
     double inputs[] = {1.0, -2.0};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "motor", "");
+    dal_system *const system = new_system(&def);
     plane at = {0, 0.7, 0.0};
     const dal_event list[] = {{.g = above, .ctx = &at}};
     dal_stepper *const stepper = started(system, "midpoint", 0.0, 0.25, x0);
@@ -535,8 +522,6 @@ static void test_inputs(void)
     CHECK_NEAR(s.t[0], 1.5 - part, 1e-14); /* 1/2 + (t - 1) - (t - 1)^2 = 0.7 */
     CHECK_NEAR(s.t[1], 1.5 + part, 1e-14);
     dal_events_free(events);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- going on elsewhere ---------------------------------------------------------------------- */
@@ -566,7 +551,7 @@ static void test_resuming(const dal_system *ball)
             CHECK(dal_stepper_save(stepper, values) == 0);
             dal_events_save(events, of_events);
             dal_events_free(events);
-            dal_stepper_free(stepper);
+            release(stepper);
             const dal_scheme record = find_scheme("leapfrog-kl6");
             run.stepper = stepper = open_stepper(ball, &record, NULL);
             CHECK(dal_stepper_restore(stepper, values, count) == 0);
@@ -576,7 +561,7 @@ static void test_resuming(const dal_system *ball)
         CHECK(status == DAL_STOPPED);
         ends[way] = run.stored;
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     /* numbers that are no guard's end in an error, not in GSL */
     dal_stepper *const stepper = started(ball, "leapfrog-kl6", 0.0, 0.05, x0);
@@ -589,7 +574,6 @@ static void test_resuming(const dal_system *ball)
     CHECK(dal_run_go(&wrong, SIZE_MAX) == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(stepper)->text, "depend only on the state and the time"));
     dal_events_free(events);
-    dal_stepper_free(stepper);
     CHECK(ends[0] == ends[1] && memcmp(rows[0], rows[1], sizeof *rows) == 0);
     CHECK(s[0].count == s[1].count && memcmp(s[0].t, s[1].t, sizeof s[0].t) == 0);
     CHECK(s[0].count == 9);
@@ -660,7 +644,7 @@ static void test_failures(void)
             CHECK(s.count == 2);
         }
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     /* the mean force over steps of which one was tried again */
     double means[2];
@@ -675,7 +659,7 @@ static void test_failures(void)
         one.kind = 0;
         CHECK(dal_run_go(&run, SIZE_MAX) == 0);
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     CHECK(means[0] == means[1]);
     /* what is projected on request; an observer that stops; arguments */
@@ -694,7 +678,6 @@ static void test_failures(void)
     dal_mechanics *const mechanics = open_mechanics(system);
     CHECK(dal_relative_residual(mechanics, 0.0, 0.0, s.after[0], &residual) == 0);
     CHECK(residual <= DAL_RESIDUAL_BOUND(3));
-    dal_mechanics_free(mechanics);
 
     dal_events *none = NULL;
     dal_error error;
@@ -709,7 +692,6 @@ static void test_failures(void)
     adams.data = &data;
     dal_stepper *const multistep = open_stepper(system, &adams, NULL);
     CHECK(dal_events_new(&none, multistep, &adams, list, 1, &error) == DAL_EUNSUPPORTED);
-    dal_stepper_free(multistep);
     list[0].consistency = (dal_consistency)9;
     CHECK(dal_events_new(&none, stepper, &midpoint, list, 1, &error) == DAL_EINVAL
           && strstr(error.text, "list[0].consistency = 9") != NULL);
@@ -746,11 +728,8 @@ static void test_failures(void)
     run.at = at;
     CHECK(dal_run_go(&run, SIZE_MAX) == 0 && run.timed == 2);
     dal_events_free(own);
-    dal_stepper_free(second);
     dal_events_free(events);
     dal_events_free(NULL);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* A run of no steps is at its time. */
@@ -770,8 +749,6 @@ static void test_no_steps(void)
     for (size_t k = 0; k < 2; k++)
         CHECK(memcmp(at + 6 * k, dal_stepper_state(stepper), 6 * sizeof *at) == 0);
     dal_events_free(events);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 int main(void)
@@ -794,6 +771,5 @@ int main(void)
     test_inputs();
     test_resuming(ball);
     test_failures();
-    dal_system_free(ball);
     return check_done();
 }

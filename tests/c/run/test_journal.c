@@ -58,10 +58,7 @@ static dal_system *open_cart(double heavier)
                                 .force = motors,
                                 .inputs = WIDTH, .name = "cart", .state = start,
                                 .missing = DAL_MISSING_F_Q | DAL_MISSING_F_V};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "cart", error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* A cart with I(q) = 1 + sin(x + theta)/3: where M depends on q, the bits of a step depend on what
@@ -86,10 +83,7 @@ static dal_system *open_wagon(void)
                                 .force = motors, .inputs = WIDTH, .name = "wagon", .state = start,
                                 .missing = DAL_MISSING_F_Q | DAL_MISSING_F_V | DAL_MISSING_L_QQ
                                          | DAL_MISSING_L_VQ | DAL_MISSING_L_VV};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "wagon", error.text);
-    return system;
+    return new_system(&def);
 }
 
 static int wall(double t, const double *x, double *g, void *ctx)
@@ -246,8 +240,7 @@ static void tear_down(outcome *o)
 {
     dal_journal_free(o->run.journal);
     dal_events_free(o->events);
-    dal_stepper_free(o->stepper);
-    dal_system_free(o->system);
+    release(o->system);
 }
 
 static bool is_over(int status, const dal_run *run)
@@ -675,8 +668,6 @@ static void test_refused(void)
     run = (dal_run){.stepper = stepper, .steps = 4, .stride = 1};
     CHECK(dal_journal_new(&journal, in_folder("b"), &run, &flow, NULL, &error)
           == DAL_EUNSUPPORTED);
-    dal_stepper_free(stepper);
-    dal_system_free(sleigh);
 }
 
 /* Where there are no locks, there are none; where there are and they fail, nothing is written. */

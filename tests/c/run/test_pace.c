@@ -31,7 +31,6 @@ static void flow_to(const dal_system *system, double t, double *x)
     begin(stepper, system, 0.0, t);
     need(dal_step(stepper, NULL), "reference", dal_stepper_error(stepper)->text);
     memcpy(x, dal_stepper_state(stepper), 2 * dal_system_n(system) * sizeof *x);
-    dal_stepper_free(stepper);
 }
 
 /* ---- the estimate --------------------------------------------------------------------------- */
@@ -110,8 +109,7 @@ static void test_order_of_the_estimate(void)
                 sizes[i] = fmax(sizes[i], fabs(stepper->pace.estimate[j]));
         }
         CHECK_NEAR(log2(sizes[0] / sizes[1]), cases[k].q + 1, 0.5);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -152,8 +150,7 @@ static void test_accuracy(void)
             CHECK(error <= 10.0 * ways[w].tolerance);
             CHECK(dal_step(stepper, NULL) == DAL_EINVAL);
             CHECK(strstr(dal_stepper_error(stepper)->text, "has reached the end of its steps"));
-            dal_stepper_free(stepper);
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -174,7 +171,7 @@ static void test_lengths(void)
         dal_stepper_stats(stepper, &stats);
         CHECK(stats.rejected > 0 && stats.rejected < 20);
         steps[k] = stats.steps;
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     CHECK_NEAR(log10((double)steps[1] / (double)steps[0]), 6.0 / 8.0, 0.1);
     dal_stepper *const stepper =
@@ -185,8 +182,6 @@ static void test_lengths(void)
         CHECK(dal_stepper_h(stepper) <= 0.125);
     }
     CHECK_NEAR(dal_stepper_time(stepper), 6.25, 0.5);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* At the least tolerance roundoff decides, and steps are no shorter than its estimate wants. */
@@ -207,9 +202,8 @@ static void test_least_tolerance(void)
         CHECK(dal_stepper_time(stepper) == 60.0 && stats.rejected < stats.steps / 8);
         flow_to(system, 60.0, exact);
         CHECK(largest_difference(6, dal_stepper_state(stepper), exact) < 1e-10);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* On a straight line estimate and error are roundoff: they say nothing of one another, and no step
@@ -229,9 +223,8 @@ static void test_straight_line(void)
         CHECK(stepper->pace.share == 1.0 && stats.uncontrolled == 0 && stats.steps < 100);
         for (size_t i = 0; i < 3; i++) x[i] += 1e3 * x[3 + i];
         CHECK(largest_difference(6, dal_stepper_state(stepper), x) < 1e-11);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* Where an angle has become large its roundoff is that of the estimate: steps do not shrink. */
@@ -251,8 +244,6 @@ static void test_large_coordinates(void)
         dal_stepper_stats(stepper, &stats);
     }
     CHECK(dal_stepper_time(stepper) == 5.0);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* V is defined for q_0 < 1 only. */
@@ -277,8 +268,7 @@ static void test_domain(void)
 {
     const double mass[4] = {1.0, 0.0, 0.0, 1.0}, state[4] = {0.0, 0.0, 1.0, 1.0};
     const dal_system_def def = {.n = 2, .mass = mass, .potential = cliff, .state = state};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "cliff", "");
+    dal_system *const system = new_system(&def);
     dal_stepper *const stepper = controlled(system, "leapfrog-kl6", 1e-8);
     dal_stats stats;
     begin(stepper, system, 0.0, 3.0);
@@ -288,8 +278,6 @@ static void test_domain(void)
     dal_stepper_stats(stepper, &stats);
     CHECK(dal_stepper_time(stepper) == 3.0 && x[2] < -0.9 && stats.rejected > 0);
     CHECK_NEAR(0.5 * x[2] * x[2] - log(1.0 - x[0]) / 4.0, 0.5, 1e-6);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* What was saved goes on bit for bit, also in another stepper; and is refused elsewhere. */
@@ -323,11 +311,6 @@ static void test_saved(void)
         bad[i] = -1.5;
         if (dal_stepper_restore(other, bad, count) == DAL_SUCCESS) dal_step(other, NULL);
     }
-    dal_stepper_free(one);
-    dal_stepper_free(other);
-    dal_stepper_free(strange);
-    dal_stepper_free(plain);
-    dal_system_free(system);
 }
 
 #define REFUSED(name, words, ...) \
@@ -380,9 +363,6 @@ static void test_refused(void)
     dal_members members = {.count = 1, .h = &h, .steps = &steps};
     CHECK(dal_ensemble_run(system, &kl6, &(dal_options){.tolerance = 1e-6}, &members, 0, 1, NULL,
                            NULL, &error) != DAL_SUCCESS);
-    dal_stepper_free(plain);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- runs ----------------------------------------------------------------------------------- */
@@ -418,10 +398,8 @@ static void test_rows(void)
             const double h = times[k + 1] - times[k];
             CHECK_NEAR(reactions[k], lambda[0], 3.0 * h * h);
         }
-        dal_mechanics_free(mechanics);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* A point with a force u that is switched: v' = u, so that all is known. */
@@ -461,8 +439,7 @@ static void test_inputs(void)
 {
     const double mass[4] = {1.0, 0.0, 0.0, 1.0}, state[4] = {0.0, 0.0, 0.0, 1.0};
     const dal_system_def def = {.n = 2, .mass = mass, .force = thrust, .inputs = 1, .state = state};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "thrust", "");
+    dal_system *const system = new_system(&def);
     for (int controlled_by = 0; controlled_by < 2; controlled_by++) {
         dal_stepper *const stepper = controlled(system, "midpoint-suzuki4", 1e-6);
         double u[5] = {1.0, 2.0, 3.0, 4.0, 5.0}, v = 0.0;
@@ -484,7 +461,7 @@ static void test_inputs(void)
             v += 0.3 * (k + 1);
         }
         CHECK_NEAR(dal_stepper_state(stepper)[2], 3.0 + 0.15 * 5.0, 1e-13);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     /* 3 * 0.3 is less than 0.9: there are three rows all the same; and a controller that stopped is
      * asked again */
@@ -502,7 +479,7 @@ static void test_inputs(void)
         }
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS && run.handed == 3);
         CHECK_NEAR(dal_stepper_state(stepper)[2], 0.3 * (1.0 + 2.0 + 3.0), 1e-13);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     const double refused[4] = {0.0, -0.3, (double)INFINITY, NAN};
     for (size_t k = 0; k < 4; k++) {
@@ -513,9 +490,8 @@ static void test_inputs(void)
                        .held = refused[k]};
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_EINVAL);
         CHECK(strstr(dal_stepper_error(stepper)->text, "held = "));
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* A sleigh that is thrown back by a wall, and stops at its second visit; output times. */
@@ -563,8 +539,6 @@ static void test_events(void)
     flow_to(system, 0.2, exact); /* before the wall */
     CHECK(largest_difference(6, at + 6, exact) < 1e-8);
     dal_events_free(events);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 static int unit_spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
@@ -583,8 +557,7 @@ static void test_first_step(void)
     const double mass = 1.0, x[2] = {1.0, 0.0};
     const dal_system_def def = {.n = 1, .mass = &mass, .potential = unit_spring, .state = x};
     const dal_scheme record = find_scheme("midpoint-suzuki4");
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "spring", "");
+    dal_system *const system = new_system(&def);
     for (int k = 0; k < 4; k++) {
         const double ahead = k % 2 ? -1.0 : 1.0, longest = k < 2 ? 0.0 : 1e-3;
         dal_stepper *const stepper =
@@ -594,9 +567,8 @@ static void test_first_step(void)
         CHECK(dal__pace_first(stepper, 0.0, ahead, x, &h) == DAL_SUCCESS);
         const double exact = pow(0.01 * stepper->pace.tolerance, 1.0 / (stepper->pace.q + 1.0));
         CHECK_NEAR(h, ahead * (longest > 0.0 ? longest : exact), 8.0 * U);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 int main(void)

@@ -52,9 +52,7 @@ static dal_system *open_orbit(orbit *of, double *state)
     memcpy(state, (double[]){1.9, 0.0, 0.0, 0.0, v, 1.9 * of->twist * v}, 6 * sizeof *state);
     const dal_system_def def = {.n = 3, .m = 1, .masses = masses, .potential = attraction,
                                 .constraint = screw, .state = state, .ctx = of, .name = "orbit"};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "orbit", "");
-    return system;
+    return new_system(&def);
 }
 
 static dal_stepper *reversible(const dal_system *system, const char *scheme, double eps)
@@ -162,8 +160,7 @@ static void test_back(void)
                 for (size_t i = 0; i < 2 * n; i++) /* 1e-12 h of roundoff in each h */
                     CHECK_NEAR(x[i], x0[i], 2e-9 * (1.0 + fabs(x0[i])));
                 if (s == 0) CHECK(longest > 15.0 * shortest);
-                dal_stepper_free(stepper);
-                dal_system_free(system);
+                release(system);
             }
 }
 
@@ -183,12 +180,10 @@ static void test_energy(void)
         for (int k = 0; k < 2; k++)
             worst[fresh][k] = drift(stepper, mechanics, 30.0 * (k + 1) * period, E0, fresh);
         CHECK(stats_of(stepper).resets <= 1);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     CHECK(worst[0][0] < 2e-7 && worst[0][1] < 1.01 * worst[0][0]);
     CHECK(worst[1][0] > 3.0 * worst[0][0] && worst[1][1] > 1.9 * worst[1][0]);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* sigma on a circle by hand: |a| = |v| = |j| = v0 = 1, s^2 = 2, own^4 = 1/4 + 1/2; the differences
@@ -205,8 +200,6 @@ static void test_sigma(void)
     const double own2 = sqrt(0.75);
     CHECK_NEAR(stepper->reversible.speed, 1.0, 1e-9);
     CHECK_NEAR(stepper->reversible.rho, sqrt(own2 * (1.0 + 0.02 * 0.02 + 0.36 * 0.36)), 1e-4);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* The same steps by other forms of D, in another unit of time, and with other coordinates. */
@@ -235,9 +228,7 @@ static void test_invariance(void)
                     CHECK_NEAR(stepper->reversible.rho / rho[k], 1.0, 1e-5);
                 rho[k] = stepper->reversible.rho;
             }
-            dal_stepper_free(stepper);
-            if (mixed) dal_system_free(system);
-            dal_system_free(base);
+            release(base);
         }
     for (int k = 0; k < 2; k++) {
         orbit of = {k ? 0x1p7 : 1.0, 1.0};
@@ -250,8 +241,7 @@ static void test_invariance(void)
             if (k) CHECK_NEAR(stepper->reversible.rho * of.time / rho[i], 1.0, 1e-9);
             rho[i] = stepper->reversible.rho;
         }
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -280,9 +270,7 @@ static void test_motions(void)
         CHECK(dal_energy(mechanics, 0.0, x, &E0) == DAL_SUCCESS);
         CHECK(drift(stepper, mechanics, 100.0, E0, false) < 2e-7 * (1.0 + fabs(E0)));
         CHECK(stats_of(stepper).resets <= 10); /* in 600 steps and more */
-        dal_mechanics_free(mechanics);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -326,8 +314,7 @@ static void test_wells(void)
         const double x[2] = {cases[c].x, cases[c].v};
         const dal_system_def def = {.n = 1, .masses = masses, .potential = inside, .state = x,
                                     .ctx = (void *)&cases[c].of};
-        dal_system *system = NULL;
-        need(dal_system_new(&system, &def, NULL), "well", "");
+        dal_system *const system = new_system(&def);
         dal_stepper *const stepper = reversible(system, "bm6", 0.168);
         begin_at(stepper, 0.0, 1.0, x);
         const double E0 = energy_in(&cases[c].of, x[0], x[1]);
@@ -339,16 +326,14 @@ static void test_wells(void)
         }
         CHECK(dal_stepper_time(stepper) >= 50.0 && worst < 1e-6 * E0 && longest < 1.0);
         CHECK(stats_of(stepper).resets <= 4 && stats_of(stepper).rejected > 0);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
     /* next to rest in the flat middle: a straight line, where all estimates are roundoff */
     const well flat = {8.0, 0.0};
     const double slow[2] = {4.48739104e-05, -5.1190761e-16};
     const dal_system_def of_slow = {.n = 1, .masses = masses, .potential = inside, .state = slow,
                                     .ctx = (void *)&flat};
-    dal_system *middle = NULL;
-    need(dal_system_new(&middle, &of_slow, NULL), "well", "");
+    dal_system *const middle = new_system(&of_slow);
     dal_stepper *const drifting = reversible(middle, "bm6", 0.168);
     begin_at(drifting, 0.0, 1.0, slow);
     CHECK(dal_stepper_until(drifting, 40.0) == DAL_SUCCESS);
@@ -356,20 +341,15 @@ static void test_wells(void)
         CHECK(dal_step(drifting, NULL) == DAL_SUCCESS);
     CHECK(dal_stepper_time(drifting) == 40.0);
     CHECK_NEAR(dal_stepper_state(drifting)[0], slow[0] + 40.0 * slow[1], 4.0 * U * slow[0]);
-    dal_stepper_free(drifting);
-    dal_system_free(middle);
     /* squares of this overflow: no time may be NaN */
     const well quartic = {4.0, 0.0};
     const double x[2] = {0.0, 1e160};
     const dal_system_def def = {.n = 1, .masses = masses, .potential = inside, .state = x,
                                 .ctx = (void *)&quartic};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "well", "");
+    dal_system *const system = new_system(&def);
     dal_stepper *const stepper = reversible(system, "bm6", 0.168);
     begin_at(stepper, 0.0, 1.0, x);
     CHECK(dal_step(stepper, NULL) < 0 && dal_stepper_time(stepper) == 0.0);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- where they end, saved, refused --------------------------------------------------------- */
@@ -401,9 +381,6 @@ static void test_until(void)
         CHECK(dal_step(one, NULL) == DAL_SUCCESS && stats_of(one).resets == 0);
         CHECK_NEAR(one->reversible.rho, rho, 0.2 * rho);
     }
-    dal_stepper_free(one);
-    dal_stepper_free(other);
-    dal_system_free(system);
 }
 
 /* rho belongs to the middle of its step.  After a step that was cut short it is the one of the
@@ -445,9 +422,6 @@ static void test_cut(void)
             change = fmax(change, fabs(rho[k + 1] / rho[k] - 1.0));
         }
     CHECK(worst < 0.01 && change > 0.1);
-    dal_stepper_free(whole);
-    dal_stepper_free(cut);
-    dal_system_free(system);
 }
 
 static void test_saved(void)
@@ -487,11 +461,6 @@ static void test_saved(void)
         if (bad[i] != values[i] && i >= head - 9 && i < head - 5) CHECK(status == DAL_EINVAL);
         if (status == DAL_SUCCESS) dal_step(other, NULL);
     }
-    dal_stepper_free(one);
-    dal_stepper_free(other);
-    dal_stepper_free(strange);
-    dal_stepper_free(plain);
-    dal_system_free(system);
 }
 
 #define REFUSED(system, name, words, ...) \
@@ -541,14 +510,12 @@ static void test_refused(void)
     def.exact = NULL;
     def.steady = 0;
     def.time_dependent = 1;
-    need(dal_system_new(&other, &def, NULL), "time", "");
+    other = new_system(&def);
     REFUSED(other, "bm6", "dependence on time", .eps = 0.1);
-    dal_system_free(other);
     def.time_dependent = 0;
     def.force = no_force;
-    need(dal_system_new(&other, &def, NULL), "force", "");
+    other = new_system(&def);
     REFUSED(other, "bm6", "a force", .eps = 0.1);
-    dal_system_free(other);
 
     static const dal_substep crooked[] = {{0.5, 0.25}, {0.5, 0.5}, {0.5, 0.125}, {0.5, 0.125}};
     static const dal_substep lopsided[] = {{0.0, 0.25}, {0.5, 0.5}, {0.0, 0.25}};
@@ -566,9 +533,6 @@ static void test_refused(void)
     CHECK_NEAR(eps, 0.8 / 5.940912118990053, 1e-14); /* by Python, from the numbers in the paper */
     scheme = find_scheme("midpoint-suzuki4");
     CHECK(dal_scheme_eps(&scheme, &eps, &error) == DAL_SUCCESS && eps == 0.2);
-    dal_system_free(system);
-    dal_system_free(curved);
-    dal_system_free(affine);
 }
 
 /* Starts that have no rate or are at rest, a size of one's own, and whoever wants steps of h. */
@@ -595,8 +559,6 @@ static void test_starts(void)
     CHECK(dal_ensemble_run(system, &bm6, &(dal_options){.eps = 0.125}, &members, 0, 1, NULL, NULL,
                            &error) == DAL_EUNSUPPORTED);
     CHECK(strstr(error.text, "options.eps = 0.125") != NULL);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 
     dal_system *const spring = open_system("particle_oscillator");
     dal_stepper *const still = reversible(spring, "bm6", 0.125);
@@ -604,8 +566,6 @@ static void test_starts(void)
     CHECK(dal_stepper_start(still, 0.0, (double)INFINITY, x, DAL_CHECK, DAL_INITIAL_NONE)
           == DAL_EDOMAIN);
     CHECK(strstr(dal_stepper_error(still)->text, "stays there") != NULL);
-    dal_stepper_free(still);
-    dal_system_free(spring);
 }
 
 /* A step that fails leaves rho and all else as it was; rho that has gone astray is reset, and said
@@ -624,11 +584,10 @@ static void test_failure(void)
     static const double masses[3] = {1.0, 1.0, 1.0};
     orbit of = {1.0, 1.0};
     double state[6], before[SAVED], after[SAVED];
-    dal_system_free(open_orbit(&of, state));
+    open_orbit(&of, state);
     const dal_system_def def = {.n = 3, .m = 1, .masses = masses, .potential = failing,
                                 .constraint = screw, .state = state, .ctx = &of};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "failing", "");
+    dal_system *const system = new_system(&def);
     dal_stepper *const stepper = reversible(system, "bm6", 0.15);
     dal_stepper *const other = reversible(system, "bm6", 0.15);
     const size_t count = dal_stepper_saved(stepper);
@@ -660,9 +619,6 @@ static void test_failure(void)
     CHECK(dal_step(other, NULL) == DAL_SUCCESS && dal_step(stepper, NULL) == DAL_SUCCESS);
     CHECK(stats_of(other).resets == resets + 1 && stats_of(stepper).resets == resets + 1);
     CHECK(stats_of(stepper).rejected == again + 1);
-    dal_stepper_free(stepper);
-    dal_stepper_free(other);
-    dal_system_free(system);
 }
 
 /* ---- runs ----------------------------------------------------------------------------------- */
@@ -719,7 +675,7 @@ static void test_runs(void)
                  "");
             need(dal_step(flow, NULL), "flow", "");
             CHECK(largest_difference(6, at + 18, dal_stepper_state(flow)) < 1e-9);
-            dal_stepper_free(flow);
+            release(flow);
         }
         for (size_t k = 0; k < stored; k++) {
             CHECK(residual_of(system, 0.0, rows + 6 * k) <= 12.0 * U);
@@ -736,9 +692,8 @@ static void test_runs(void)
             CHECK(stats_of(stepper).resets == 0);
         }
         dal_events_free(events);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 int main(void)

@@ -51,9 +51,6 @@ static void check_rows(const char *scheme, double h, size_t stride)
     const size_t rows = STEPS / stride;
     CHECK(x[(rows + 1) * N2] == EMPTY && reactions[rows * M] == EMPTY);
     CHECK(dal_stepper_time(run) == 1.5 + STEPS * h);
-    dal_stepper_free(run);
-    dal_stepper_free(single);
-    dal_system_free(system);
 }
 
 /* A second call goes on where the first stopped: the bits of one call. */
@@ -72,10 +69,8 @@ static void test_continuing(void)
         CHECK(done == STEPS - 10);
         CHECK(memcmp(x, y, (STEPS / 2 + 1) * N2 * sizeof *x) == 0);
         CHECK(dal_stepper_time(one) == dal_stepper_time(two));
-        dal_stepper_free(one);
-        dal_stepper_free(two);
+        release(two);
     }
-    dal_system_free(system);
 }
 
 /* No steps: row 0 and nothing else.  No arrays: the state still moves. */
@@ -96,14 +91,9 @@ static void test_empty(void)
     wide w;
     dal_system *const free_system = open_wide(&w, 3, 0, false, true);
     const dal_scheme leapfrog = find_scheme("leapfrog");
-    dal_stepper *const oscillator = open_stepper(free_system, &leapfrog, NULL);
-    CHECK(dal_stepper_start(oscillator, 0.0, 0.1, w.state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_stepper *const oscillator = start_stepper(free_system, &leapfrog, 0.1, w.state);
     CHECK(dal_integrate(oscillator, 4, 2, NULL, reactions, NULL, NULL, NULL) == DAL_SUCCESS);
     CHECK(reactions[0] == EMPTY);
-    dal_stepper_free(oscillator);
-    dal_system_free(free_system);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* t = t0 + k h, one product and one sum, however many steps and calls there were. */
@@ -117,9 +107,8 @@ static void test_time(void)
             CHECK(dal_integrate(stepper, 3, 1, NULL, NULL, NULL, NULL, NULL) == DAL_SUCCESS);
             CHECK(dal_stepper_time(stepper) == t0 + (double)(3 * k) * steps[j]);
         }
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* ---- observers ------------------------------------------------------------------------------ */
@@ -169,8 +158,6 @@ static void test_observer(void)
     CHECK(dal_integrate(stepper, 16, 4, x, NULL, observe, &w, &done) == DAL_STOPPED);
     CHECK(w.calls == 1 && done == 0 && x[0] != EMPTY && x[N2] == EMPTY);
     CHECK(dal_stepper_time(stepper) == t0 + 24 * h);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- in parts ----------------------------------------------------------------------------- */
@@ -227,7 +214,6 @@ static void run_in_parts(const dal_system *system, const char *scheme, size_t st
     CHECK(memcmp(dal_stepper_state(stepper), r->x + (run.stored - 1) * N, N * sizeof *r->x) == 0);
     CHECK(dal_run_go(&run, budget) == DAL_SUCCESS && run.done == LONG); /* it is over */
     CHECK(r->seen.calls == LONG / stride + 1);
-    dal_stepper_free(stepper);
 }
 
 /* However many steps at a time, and wherever the observer stops it once: the same rows, reactions
@@ -258,7 +244,7 @@ static void test_budgets(void)
                     CHECK(whole->seen.sum == parts->seen.sum);
                 }
         }
-        dal_system_free(system);
+        release(system);
     }
     free(whole);
     free(parts);
@@ -307,8 +293,7 @@ static void test_mended(void)
                 .lagrangian = as ? general : NULL,
                 .potential = as ? NULL : generic4_potential, .constraint = fragile, .ctx = &left,
                 .state = state};
-            dal_system *system = NULL;
-            need(dal_system_new(&system, &def, NULL), "fragile", "");
+            dal_system *const system = new_system(&def);
             for (size_t calls = 0; calls < 400; calls += 3) {
                 left = 0;
                 dal_stepper *const stepper = started(system, schemes[j], 0.0, 0.2);
@@ -336,10 +321,10 @@ static void test_mended(void)
                            64 * MADE * U * sum_of_sizes(N2, dal_stepper_state(stepper)));
                 CHECK_NEAR(largest_difference(ROWS * M, reactions[0], reactions[k]), 0.0,
                            256 * MADE * U * sum_of_sizes(N2, dal_stepper_state(stepper)) / 0.2);
-                dal_stepper_free(stepper);
+                release(stepper);
             }
             CHECK(failures >= 10);
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -372,9 +357,8 @@ static void test_pending(void)
     const dal_system_def def = {.n = 2, .m = 1, .mass = mass, .potential = slope,
                                 .constraint = still, .ctx = &steepness};
     const dal_scheme scheme = find_scheme("explicit");
-    dal_system *system = NULL;
     double x[4 * 4], reactions[3];
-    need(dal_system_new(&system, &def, NULL), "still", "");
+    dal_system *const system = new_system(&def);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     need(dal_stepper_start(stepper, 0.0, 0.5, x0, DAL_CHECK, DAL_INITIAL_NONE), "still", "");
     fill(DAL_LENGTH(x), x);
@@ -389,8 +373,6 @@ static void test_pending(void)
     run.reactions = NULL; /* then it may go on */
     CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS && run.done == 30 && run.stored == 4);
     for (size_t row = 0; row < 4; row++) CHECK(x[4 * row + 1] == 5.0 * (double)row);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* How often it was asked, and what it answers. */
@@ -436,7 +418,7 @@ static void test_watch(void)
         }
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS && run.done == 3 && run.stored == 4);
         CHECK(dal_advance(stepper, 1, NULL, NULL) == DAL_SUCCESS); /* nobody watches that */
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     CHECK(memcmp(x[0], x[1], sizeof x[0]) == 0);
 
@@ -447,8 +429,6 @@ static void test_watch(void)
     CHECK(dal_stepper_start(stepper, 0.0, 0.01, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
     CHECK(g.calls >= 1 && g.calls < LONG / 4); /* of which it would be asked in each */
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- errors --------------------------------------------------------------------------------- */
@@ -477,9 +457,6 @@ static void test_arguments(void)
     CHECK(dal_run_go(&run, 3) == DAL_EINVAL && run.done == 0 && run.stored == 0);
     run = (dal_run){.stepper = stepper, .steps = 4, .stride = 0};
     CHECK(dal_run_go(&run, 3) == DAL_EINVAL && run.done == 0 && run.stored == 0);
-    dal_stepper_free(fresh);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* The particle's forms, up to x = 1.7; ctx is the particle. */
@@ -501,8 +478,7 @@ static void test_failure(void)
     def.ctx = particle;
     def.exact = NULL;
     def.invariants = 0;
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
+    dal_system *const system = new_system(&def);
     const char *const schemes[] = {"explicit", "midpoint", "leapfrog-yoshida4"};
     for (size_t j = 0; j < 3; j++) {
         const dal_scheme scheme = find_scheme(schemes[j]);
@@ -528,11 +504,8 @@ static void test_failure(void)
         snprintf(words, sizeof words, "step %zu ", steps + 1);
         CHECK(strstr(dal_stepper_error(stepper)->text, words) != NULL);
         CHECK(dal_advance(stepper, 3, &mean, &good) == DAL_EDOMAIN && good == 0 && isnan(mean));
-        dal_stepper_free(stepper);
-        dal_stepper_free(other);
+        release(other);
     }
-    dal_system_free(system);
-    dal_system_free(particle);
 }
 
 static int steep(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
@@ -549,19 +522,14 @@ static void test_infinite_energy(void)
 {
     const double mass = 1.0, x0[2] = {1.0, 0.0};
     const dal_system_def def = {.n = 1, .mass = &mass, .potential = steep};
-    const dal_scheme scheme = find_scheme("leapfrog");
-    dal_system *system = NULL;
     dal_stats stats;
-    need(dal_system_new(&system, &def, NULL), "steep", "");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-    CHECK(dal_stepper_start(stepper, 0.0, 1.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_system *const system = new_system(&def);
+    dal_stepper *const stepper = start_named(system, "leapfrog", 1.0, x0);
     CHECK(dal_advance(stepper, 28, NULL, NULL) == 0);
     CHECK(dal_integrate(stepper, 1, 1, NULL, NULL, NULL, NULL, NULL) == 0);
     dal_stepper_stats(stepper, &stats);
     CHECK(dal__all_finite(2, dal_stepper_state(stepper)) && stats.jump_step == 29);
     CHECK(isinf(stats.jump));
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- an energy that jumps ------------------------------------------------------------------ */
@@ -633,10 +601,8 @@ static dal_stats climb(stairs s, const char *name, int flags, double v, size_t s
         .kind = flags & AFFINE ? DAL_AFFINE : DAL_LINEAR};
     dal_scheme scheme = find_scheme(name);
     const double x[4] = {0.0, 0.0, v, 0.0};
-    dal_system *system = NULL;
-    dal_error error = {0};
     if (scheme.nodes == DAL_KEPT_NODES) scheme.order = 0; /* a record of the user's own */
-    need(dal_system_new(&system, &def, &error), "stairs", error.text);
+    dal_system *const system = new_system(&def);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     dal_stats stats, last;
     need(dal_stepper_start(stepper, 0.0, 1.0 / JUMP_H, x, DAL_CHECK,
@@ -648,8 +614,6 @@ static dal_stats climb(stairs s, const char *name, int flags, double v, size_t s
     dal_stepper_stats(stepper, &last); /* a look is not counted */
     CHECK(last.potential_calls == stats.potential_calls);
     CHECK(last.lagrangian_calls == stats.lagrangian_calls);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
     return last;
 }
 
@@ -715,9 +679,7 @@ static void test_error(void)
     const dal_system_def def = {.n = 2, .m = 1, .constraint = in_line, .masses = masses,
                                 .potential = on_spring};
     const dal_scheme scheme = find_scheme("leapfrog");
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "spring", error.text);
+    dal_system *const system = new_system(&def);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     dal_stats stats;
     for (int unchecked = 0; unchecked <= 1; unchecked++) {
@@ -734,8 +696,6 @@ static void test_error(void)
         if (!unchecked) CHECK(stats.whole == 1 && fabs(stats.error / by - 1.0) < 0.35);
         else CHECK(stats.whole == 0 && isnan(stats.error) && stats.remade == 0);
     }
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 int main(void)

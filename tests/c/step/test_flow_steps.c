@@ -58,8 +58,7 @@ static void test_exact(void)
                 CHECK(stats.evaluations >= STEPS && stats.iterations == 0);
                 CHECK(stats.worst_residual >= 0.5 * worst); /* added up in another order */
                 CHECK(stats.worst_residual <= DAL_RESIDUAL_BOUND(n));
-                dal_stepper_free(stepper);
-                dal_system_free(system);
+                release(system);
             }
 }
 
@@ -81,13 +80,12 @@ static void test_tolerance(void)
         memcpy(x[j], dal_stepper_state(stepper), 8 * sizeof(double));
         dal_stepper_stats(stepper, &stats);
         evaluations[j] = stats.evaluations;
-        dal_stepper_free(stepper);
+        release(stepper);
     }
     CHECK(evaluations[0] < evaluations[1] && evaluations[1] < evaluations[2]);
     CHECK(largest_difference(8, x[0], x[2]) > largest_difference(8, x[1], x[2]));
     CHECK(memcmp(x[2], x[3], 8 * sizeof(double)) == 0 && evaluations[2] == evaluations[3]);
     CHECK(memcmp(x[2], x[4], 8 * sizeof(double)) == 0 && evaluations[2] == evaluations[4]);
-    dal_system_free(system);
 }
 
 /* f = (0, 0, 1/t): the force is asked for at the time of the stepper, which is t0 + k h. */
@@ -105,10 +103,9 @@ static void test_time(void)
 {
     dal_system *const edge = open_system("uneven_edge");
     dal_system_def def = edge->def;
-    dal_system *system = NULL;
     def.force = harmonic;
     def.potential = NULL;
-    need(dal_system_new(&system, &def, NULL), "harmonic", "");
+    dal_system *const system = new_system(&def);
     for (size_t j = 0; j < DAL_LENGTH(methods); j++) {
         const dal_flow_scheme data = {methods[j], 1e-9};
         const dal_scheme scheme = reference(&data);
@@ -120,10 +117,8 @@ static void test_time(void)
             CHECK_NEAR(dal_stepper_state(stepper)[5], omega + 4.0 / 3.0 * log(1.0 + 0.25 * k),
                        1e-7);
         }
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
-    dal_system_free(edge);
 }
 
 /* Many steps in one call or each by itself, and after a start that forgets: the same bits and
@@ -150,10 +145,8 @@ static void test_calls(void)
         dal_stepper_stats(two, &second);
         CHECK(first.evaluations == second.evaluations);
         CHECK(first.worst_residual == second.worst_residual);
-        dal_stepper_free(one);
-        dal_stepper_free(two);
+        release(two);
     }
-    dal_system_free(system);
 }
 
 /* uneven_edge up to the wall at ctx. */
@@ -173,11 +166,10 @@ static void test_failure(void)
         const dal_scheme scheme = reference(&data);
         dal_system *const edge = open_system("uneven_edge");
         dal_system_def def = edge->def;
-        dal_system *system = NULL;
         double wall = HUGE_VAL, before[6], mean = 7.0;
         def.constraint = walled;
         def.ctx = &wall;
-        need(dal_system_new(&system, &def, NULL), "walled", "");
+        dal_system *const system = new_system(&def);
         dal_stepper *const one = open_stepper(system, &scheme, NULL);
         dal_stepper *const two = open_stepper(system, &scheme, NULL);
         start(one, system, 0.0, 0.1);
@@ -200,10 +192,7 @@ static void test_failure(void)
             CHECK_NEAR(largest_difference(6, dal_stepper_state(one), dal_stepper_state(two)), 0.0,
                        1e-5 * sum_of_sizes(6, dal_stepper_state(two)));
         else CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(two), sizeof before) == 0);
-        dal_stepper_free(one);
-        dal_stepper_free(two);
-        dal_system_free(system);
-        dal_system_free(edge);
+        release(edge);
     }
 }
 
@@ -216,12 +205,11 @@ static void test_edge(void)
         const dal_scheme scheme = reference(&data);
         dal_system *const edge = open_system("uneven_edge");
         dal_system_def def = edge->def;
-        dal_system *system = NULL;
         dal_stats stats;
         double wall = 0.01;
         def.constraint = walled;
         def.ctx = &wall;
-        need(dal_system_new(&system, &def, NULL), "walled", "");
+        dal_system *const system = new_system(&def);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         start(stepper, system, 0.0, 1e-4);
         CHECK(dal_advance(stepper, 100000, NULL, NULL) == DAL_EDOMAIN);
@@ -230,9 +218,7 @@ static void test_edge(void)
         CHECK(fabs(dal_stepper_state(stepper)[0] - wall) < 1e-3);
         dal_stepper_stats(stepper, &stats);
         CHECK(stats.evaluations < 40 * stats.steps + 20000);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
-        dal_system_free(edge);
+        release(edge);
     }
 }
 
@@ -243,7 +229,6 @@ static void refused(const dal_scheme *scheme, const char *words)
     dal_error error;
     CHECK(dal_stepper_new(&stepper, system, scheme, NULL, &error) == DAL_EINVAL && !stepper);
     check_true(strstr(error.text, words) != NULL, error.text, words, __LINE__);
-    dal_system_free(system);
 }
 
 static void test_records(void)

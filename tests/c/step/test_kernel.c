@@ -148,9 +148,7 @@ static dal_system *open_blade_as(variety kind, int refuses)
         def.compiled = &compiled_free;
         def.potential = NULL;
     }
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "blade", error.text);
+    dal_system *const system = new_system(&def);
     b = (blade){.slope = NAN, .wobble = NAN};
     return system;
 }
@@ -188,10 +186,8 @@ static void test_same_bits(variety kind)
         CHECK(a.potential_calls == b.potential_calls);
         CHECK(kind == FREE ? a.potential_calls == 0 : a.potential_calls >= STEPS);
         CHECK(a.iterations == b.iterations && a.worst_residual == b.worst_residual);
-        dal_stepper_free(own);
-        dal_stepper_free(library);
+        release(library);
     }
-    dal_system_free(system);
 }
 
 /* Every built-in system has the same bits by the text for V at nodes only, or nowhere, and by the
@@ -205,22 +201,21 @@ static void test_nodes_only(void)
     size_t compared = 0;
     for (size_t which = 0; which < dal_builtin_count(); which++) {
         dal_system *system = NULL, *other = NULL;
-        CHECK(dal_system_builtin(&system, dal_builtin_name(which), NULL, NULL, 0, NULL) == 0);
+        system = open_system(dal_builtin_name(which));
         dal_system_def def = system->def;
         const size_t n = def.n;
         def.compiled = &general;
         if (!def.mass || def.kind != DAL_LINEAR || def.force || n > 8) {
-            dal_system_free(system);
+            release(system);
             continue;
         }
-        CHECK(dal_system_new(&other, &def, NULL) == 0);
+        other = new_system(&def);
         for (size_t j = 0; j < sizeof names / sizeof *names; j++) {
             const dal_scheme scheme = find_scheme(names[j]);
-            dal_stepper *const one = open_stepper(system, &scheme, NULL);
             dal_stepper *const two = open_stepper(other, &scheme, NULL);
             double x[8], y[8]; /* reactions */
             dal_stats a, b;
-            CHECK(dal_stepper_start(one, 0.0, 0.05, def.state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            dal_stepper *const one = start_stepper(system, &scheme, 0.05, def.state);
             CHECK(dal_stepper_start(two, 0.0, 0.05, def.state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
             CHECK(dal_advance(one, 300, x, NULL) == 0 && dal_advance(two, 300, y, NULL) == 0);
             CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(two), 2 * n * sizeof(double))
@@ -231,12 +226,10 @@ static void test_nodes_only(void)
             CHECK(a.constraint_calls == b.constraint_calls && a.iterations == b.iterations);
             CHECK(a.potential_calls == b.potential_calls);
             CHECK(a.worst_residual == b.worst_residual);
-            dal_stepper_free(one);
-            dal_stepper_free(two);
+            release(two);
             compared++;
         }
-        dal_system_free(other);
-        dal_system_free(system);
+        release(system);
     }
     CHECK(compared >= 50);
 }
@@ -251,10 +244,9 @@ static void test_handed_over(void)
     size_t full = 0;
     for (size_t j = 0; j < sizeof names / sizeof *names; j++) {
         const dal_scheme scheme = find_scheme(names[j]);
-        dal_stepper *const own = open_stepper(system, &scheme, NULL);
         dal_stepper *const library = open_stepper_by(BY_ANY_SIZES, system, &scheme);
         dal_stats a, b;
-        CHECK(dal_stepper_start(own, 0.0, 3.0, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const own = start_stepper(system, &scheme, 3.0, state);
         CHECK(dal_stepper_start(library, 0.0, 3.0, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         int status = 0;
         for (int step = 0; step < STEPS && !status; step++) {
@@ -267,11 +259,9 @@ static void test_handed_over(void)
         dal_stepper_stats(library, &b);
         CHECK(a.full_newtons == b.full_newtons);
         full += a.full_newtons;
-        dal_stepper_free(own);
-        dal_stepper_free(library);
+        release(library);
     }
     CHECK(full > STEPS);
-    dal_system_free(system);
 }
 
 /* A blade whose potential refuses after so many calls; never if that is negative. */
@@ -307,8 +297,7 @@ static void test_made_again(void)
     def.potential = hesitant_potential;
     def.ctx = &self;
     def.ctx_size = 0;
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     const dal_scheme scheme = find_scheme("midpoint-suzuki4");
     dal_stepper *const one = open_stepper(system, &scheme, NULL);
     dal_stepper *const two = open_stepper(system, &scheme, NULL);
@@ -331,9 +320,6 @@ static void test_made_again(void)
         CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(two), sizeof before) == 0);
     }
     CHECK(failed >= 10); /* two for each of five stages */
-    dal_stepper_free(one);
-    dal_stepper_free(two);
-    dal_system_free(system);
 }
 
 /* What overflows is seen also where it is in nothing that is computed with: mu = (1, 1/2, 0). */
@@ -371,8 +357,7 @@ static void test_overflow(void)
     const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = level_constraint,
                                 .compiled = &level};
     const double x[6] = {0.0, 0.0, 0.0, 1.0, -2.0, 1e307};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     const dal_scheme scheme = find_scheme("midpoint");
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     CHECK(dal_stepper_start(stepper, 0.0, 8.0, x, DAL_ASSUME, DAL_INITIAL_NONE) == 0);
@@ -380,8 +365,6 @@ static void test_overflow(void)
     CHECK(dal_advance(stepper, 5, NULL, &done) == DAL_EDOMAIN && done == 2);
     CHECK(strstr(dal_stepper_error(stepper)->text, "new state overflows") != NULL);
     CHECK(dal_stepper_state(stepper)[2] == 16e307);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* A declaration changes how a step is solved, not its solution; and it saves iterations. */
@@ -393,10 +376,9 @@ static void test_steady(void)
     dal_system *const undeclared = open_blade_as(IN_FULL, 0);
     for (size_t j = 0; j < sizeof names / sizeof *names; j++) {
         const dal_scheme scheme = find_scheme(names[j]);
-        dal_stepper *const one = open_stepper(declared, &scheme, NULL);
         dal_stepper *const two = open_stepper(undeclared, &scheme, NULL);
         dal_stats a, b;
-        CHECK(dal_stepper_start(one, 0.0, 0.02, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const one = start_stepper(declared, &scheme, 0.02, state);
         CHECK(dal_stepper_start(two, 0.0, 0.02, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_advance(one, STEPS, NULL, NULL) == 0 && dal_advance(two, STEPS, NULL, NULL) == 0);
         /* each sub-step errs by a few roundings of |x| < 100, and errors grow with time at most */
@@ -407,11 +389,8 @@ static void test_steady(void)
         const bool ends = strcmp(names[j], "midpoint") == 0; /* V acts at q~' */
         CHECK(ends ? a.iterations == b.iterations : a.iterations == a.substeps);
         CHECK(a.worst_residual <= DAL_RESIDUAL_BOUND(3));
-        dal_stepper_free(one);
-        dal_stepper_free(two);
+        release(two);
     }
-    dal_system_free(declared);
-    dal_system_free(undeclared);
 }
 
 /* The same constraint with the centre of mass beside the blade: a reaction turns it. */
@@ -449,13 +428,10 @@ static void test_false_declaration_of_two(void)
     const dal_system_def def = {.n = 3, .m = 2, .mass = mass, .constraint = two_forms,
                                 .steady = DAL_STEADY_DECLARED};
     const dal_scheme scheme = find_scheme("midpoint");
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(stepper)->text, "mu depends on coordinate 0") != NULL);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* A declaration that is false is refused where it can be seen; where it cannot, at rest, the first
@@ -467,8 +443,7 @@ static void test_false_declaration(void)
     def.compiled = NULL;
     def.constraint = beside;
     def.steady = DAL_STEADY_DECLARED;
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     const dal_scheme scheme = find_scheme("leapfrog");
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     double x[6] = {0.0, 0.0, 0.3, 1.0, 0.0, 0.0};
@@ -483,8 +458,6 @@ static void test_false_declaration(void)
     }
     CHECK(status == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(stepper)->text, "a reaction changed mu") != NULL);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* The library's step routine is not the one that is used: this one counts its calls.  Of kept nodes
@@ -501,9 +474,8 @@ static void test_it_is_used(void)
                                           NULL, NULL};
     blade b = {.slope = 5.0, .wobble = 0.1};
     dal_system_def def = blade_def(&b);
-    dal_system *system = NULL;
     def.compiled = &counting;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     const dal_scheme scheme = find_scheme("midpoint");
     for (way by = 0; by < WAYS; by++) {
         dal_stepper *const stepper = open_stepper_by(by, system, &scheme);
@@ -512,9 +484,8 @@ static void test_it_is_used(void)
         CHECK(dal_advance(stepper, 5, NULL, NULL) == 0);
         dal_stepper_stats(stepper, &stats);
         CHECK(stats.steps == 5 && stats.halvings == (by == BY_LIBRARY));
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* What a callback returns comes out as from the library, and the state is that before the step. */
@@ -524,19 +495,16 @@ static void test_refusals_of_callbacks(void)
     for (size_t j = 0; j < 2; j++) {
         dal_system *const system = open_blade(returned[j]);
         const dal_scheme scheme = find_scheme("midpoint");
-        dal_stepper *const own = open_stepper(system, &scheme, NULL);
         dal_stepper *const library = open_stepper_by(BY_ANY_SIZES, system, &scheme);
         size_t one = 0, two = 0;
-        CHECK(dal_stepper_start(own, 0.0, 0.02, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const own = start_stepper(system, &scheme, 0.02, state);
         CHECK(dal_stepper_start(library, 0.0, 0.02, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_advance(own, 1000, NULL, &one) == status[j]);
         CHECK(dal_advance(library, 1000, NULL, &two) == status[j]);
         CHECK(one == two && one > 3 && one < 1000);
         CHECK(strcmp(dal_stepper_error(own)->text, dal_stepper_error(library)->text) == 0);
         CHECK(memcmp(dal_stepper_state(own), dal_stepper_state(library), 6 * sizeof(double)) == 0);
-        dal_stepper_free(own);
-        dal_stepper_free(library);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -562,13 +530,11 @@ static int no_force(double t, const double *q, const double *v, const double *u,
 static void refused(const dal_system_def *def, const char *words)
 {
     const dal_scheme scheme = find_scheme("midpoint");
-    dal_system *system = NULL;
     dal_stepper *stepper = NULL;
     dal_error error;
-    need(dal_system_new(&system, def, &error), words, error.text);
+    dal_system *const system = new_system(def);
     CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, &error) == DAL_EINVAL && !stepper);
     CHECK(error.status == DAL_EINVAL && strstr(error.text, words) != NULL);
-    dal_system_free(system);
 }
 
 /* The same by the system, which has no kernel to say it of. */
@@ -597,15 +563,13 @@ static void test_compiled_field(void)
         const dal_compiled other = {DAL_COMPILED_ABI - older, sizeof(dal_kernel), blade_step, 0, 0,
                                     NULL, stand};
         dal_system_def def = blade_def(&b);
-        dal_system *system = NULL;
         double xdot[6];
         def.compiled = &other;
-        need(dal_system_new(&system, &def, NULL), "blade", "");
+        dal_system *const system = new_system(&def);
         dal_mechanics *const mech = open_mechanics(system);
         CHECK(dal_field(mech, 0.0, state, xdot) == 0);
         CHECK(xdot[0] == (older ? state[3] : 0.0));
-        dal_mechanics_free(mech);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -656,9 +620,7 @@ static void test_bad_definitions(void)
 static void test_deformed(void)
 {
     dal_system *const base = open_blade(0);
-    dal_system *shifted = NULL;
-    dal_error error;
-    CHECK(dal_system_deform_nodes(&shifted, base, 0.01, &error) == DAL_SUCCESS);
+    dal_system *const shifted = open_deformed_nodes(base, 0.01);
     dal_mechanics *const mech = open_mechanics(shifted), *const plain = open_mechanics(base);
     double residual, expected, x[6];
     memcpy(x, state, sizeof x);
@@ -666,10 +628,6 @@ static void test_deformed(void)
     CHECK(dal_residual(mech, 0.0, 0.0, x, &residual) == 0);
     CHECK(dal_residual(plain, 0.0, 0.01, x, &expected) == 0);
     CHECK_NEAR(residual, expected, 8 * U);
-    dal_mechanics_free(mech);
-    dal_mechanics_free(plain);
-    dal_system_free(shifted);
-    dal_system_free(base);
 }
 
 int main(void)

@@ -162,21 +162,14 @@ static one open_member(const dal_scheme *scheme, size_t i, double h, double wall
                                 .constraint = constraint, .ctx = &p, .ctx_size = sizeof p,
                                 .time_dependent = 1, .compiled = &compiled};
     one made = {0};
-    dal_error error = {0};
-    need(dal_system_new(&made.system, &def, &error), "edge", error.text);
-    need(dal_stepper_new(&made.stepper, made.system, scheme, NULL, &error), "stepper", error.text);
+    made.system = new_system(&def);
+    made.stepper = open_stepper(made.system, scheme, NULL);
     const double t0 = 0.5 * (double)i;
     dal_mechanics *const mech = &made.stepper->mech;
     need(dal_project(mech, t0, 0.0, x, NULL), "project", mech->error.text);
     need(dal_stepper_start(made.stepper, t0, h * (1.0 + 0.1 * (double)i), x, DAL_CHECK,
                            DAL_INITIAL_NONE), "start", dal_stepper_error(made.stepper)->text);
     return made;
-}
-
-static void close_member(one *member)
-{
-    dal_stepper_free(member->stepper);
-    dal_system_free(member->system);
 }
 
 /* Everything that the next step depends on, and the statistics; but the number of the system. */
@@ -236,10 +229,7 @@ static void test_same_bits(size_t loaded, size_t shift, double h)
             CHECK(h > 0.5 || made == STEPS || largest != alone[i].stepper->guards.rank.range[1]);
         }
         dal__lanes_free(lanes);
-        close_member(&other);
         for (size_t i = 0; i < LANES; i++) {
-            close_member(&alone[i]);
-            close_member(&member[i]);
         }
     }
 }
@@ -277,8 +267,6 @@ static void test_stopped(void)
             CHECK(memcmp(x, dal_stepper_state(member[i].stepper), sizeof x) == 0);
         }
         dal__lanes_free(lanes);
-        close_member(&alone);
-        for (size_t i = 0; i < LANES; i++) close_member(&member[i]);
     }
 }
 
@@ -323,9 +311,6 @@ static void test_again(void)
     CHECK(dal__lanes_use(lanes, 2) == LANES && dal__lanes_use(lanes, 3) == 0);
     dal__lanes_free(lanes);
     dal__lanes_free(NULL);
-    close_member(&alone);
-    close_member(&member);
-    close_member(&gone);
 }
 
 /* Who has none: systems that were not compiled so, kept nodes, other families, and parameters that
@@ -339,7 +324,7 @@ static void test_none(void)
     dal_error error;
     CHECK(dal__lanes_width(member.system, &kept) == 0);
     CHECK(dal__lanes_width(member.system, &flow) == 0);
-    CHECK(dal_system_builtin(&system, "sleigh", NULL, NULL, 0, NULL) == 0);
+    system = open_system("sleigh");
     CHECK(dal__lanes_width(system, &midpoint) == 0);
     dal_stepper *const stepper = open_stepper(system, &midpoint, NULL);
     dal__lanes *lanes = NULL;
@@ -349,12 +334,8 @@ static void test_none(void)
     dal_system_def def = member.system->def;
     def.ctx = &p;
     def.ctx_size = sizeof p - sizeof(double);
-    CHECK(dal_system_new(&short_of, &def, NULL) == 0);
+    short_of = new_system(&def);
     CHECK(dal__lanes_width(short_of, &midpoint) == 0);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
-    dal_system_free(short_of);
-    close_member(&member);
 }
 
 int main(void)

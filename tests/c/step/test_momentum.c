@@ -32,10 +32,7 @@ static dal_system *open_cart(void)
     static const double state[6] = {0.0, 0.0, 0.2, 0.98006657784124163, 0.19866933079506122, 1.2};
     const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = plane_blade,
                                 .force = drive, .inputs = 1, .name = "cart", .state = state};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "cart", error.text);
-    return system;
+    return new_system(&def);
 }
 
 static dal_system *open_named(const char *name)
@@ -83,8 +80,6 @@ static void test_same_steps(const char *name, const char *scheme, double h)
     dal_stats stats;
     dal_stepper_stats(by[BY_LIBRARY], &stats);
     CHECK(stats.full_newtons == 0);
-    for (way w = BY_LIBRARY; w < WAYS; w++) dal_stepper_free(by[w]);
-    dal_system_free(system);
 }
 
 /* A smooth step takes one evaluation with second derivatives, one without, and three of the forms;
@@ -109,8 +104,7 @@ static void test_cost(double turns)
         const size_t forms = after.constraint_calls - before.constraint_calls;
         CHECK(100 * looks <= 206 * STEPS && 100 * forms <= 306 * STEPS);
         CHECK(after.full_newtons == 0 && after.worst_residual <= DAL_RESIDUAL_BOUND(n));
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -122,18 +116,15 @@ static void test_units(void)
     static const char *const parameters[] = {"m", "J"};
     for (size_t i = 0; i < DAL_LENGTH(powers); i++) {
         const double unit = ldexp(1.0, powers[i]), values[] = {1.5 * unit, 0.8 * unit};
-        dal_system *heavy = NULL, *const system = open_system("sleigh_contact");
-        need(dal_system_builtin(&heavy, "sleigh_contact", parameters, values, 2, NULL), "", "");
+        dal_system *const system = open_system("sleigh_contact");
+        dal_system *const heavy = open_builtin("sleigh_contact", 2, parameters, values);
         dal_stepper *const one = started(BY_LIBRARY, system, "midpoint", 0.05, NULL);
         dal_stepper *const other = started(BY_LIBRARY, heavy, "midpoint", 0.05, NULL);
         CHECK(dal_advance(one, 20, NULL, NULL) == 0 && dal_advance(other, 20, NULL, NULL) == 0);
         const double *const x = dal_stepper_state(one), *const y = dal_stepper_state(other);
         if (abs(powers[i]) <= 490) CHECK(memcmp(x, y, 6 * sizeof *x) == 0);
         CHECK_NEAR(largest_difference(6, x, y), 0.0, 1000 * U);
-        dal_stepper_free(one);
-        dal_stepper_free(other);
-        dal_system_free(heavy);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -160,22 +151,17 @@ static int beside_a_wheel(double t, const double *q, const double *v, double *L,
 static void test_rows_are_their_own(void)
 {
     const dal_system_def def = {.n = 2, .lagrangian = beside_a_wheel, .name = "wheel"};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "wheel", "");
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_system *const system = new_system(&def);
     double bits[2] = {0.0, 0.0};
     for (int power = 0; power <= 40; power += 10) {
         const double far = power > 0 ? ldexp(1.0, power) : 0.0, x[4] = {0.3, far, 1.0, far};
-        CHECK(dal_stepper_start(stepper, 0.0, 0.25, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_stepper *const stepper = start_named(system, "midpoint", 0.25, x);
         CHECK(dal_advance(stepper, 40, NULL, NULL) == 0);
         const double *const y = dal_stepper_state(stepper);
         if (power > 0) CHECK(y[0] == bits[0] && y[2] == bits[1]);
         bits[0] = y[0];
         bits[1] = y[2];
     }
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* L = cos(x) x'^2/2 with a force 4 - 4 x', whose damping keeps K positive where L_vv is not. */
@@ -211,8 +197,7 @@ static void test_indefinite(void)
     double c[2] = {4.0, 4.0};
     const dal_system_def def = {.n = 1, .lagrangian = falling_mass, .force = damper, .ctx = c};
     const double x[2] = {1.2, 1.0};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "falling", "");
+    dal_system *const system = new_system(&def);
     for (size_t i = 0; i < DAL_LENGTH(some); i++) {
         const dal_scheme scheme = find_scheme(some[i]);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
@@ -224,9 +209,8 @@ static void test_indefinite(void)
         }
         CHECK(status == DAL_ESINGULAR);
         CHECK(strstr(dal_stepper_error(stepper)->text, "not positive definite") != NULL);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* v' (1 + c h/2) = v (1 - c h/2) with mass 1: of stiff damping the momentum keeps no rounding. */
@@ -236,16 +220,14 @@ static void test_stiff_damping(void)
     for (int power = 2; power <= 6; power++) {
         double c[2] = {0.0, pow(10.0, power)}, v = 1.0;
         const dal_system_def def = {.n = 1, .mass = &mass, .force = damper, .ctx = c};
-        dal_system *system = NULL;
-        need(dal_system_new(&system, &def, NULL), "damper", "");
+        dal_system *const system = new_system(&def);
         dal_stepper *const stepper = started(BY_LIBRARY, system, "midpoint", h, x);
         for (int k = 0; k < 50; k++) {
             CHECK(dal_step(stepper, NULL) == 0);
             v *= (1.0 - 0.5 * c[1] * h) / (1.0 + 0.5 * c[1] * h);
             CHECK_NEAR(dal_stepper_state(stepper)[1], v, 16 * U * (k + 1) * fabs(v));
         }
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -265,20 +247,16 @@ static void test_large_steps(void)
 {
     const char *const springs[] = {"k1", "k2", "k3"};
     const double k[] = {1.0, 1.0, 1e-300}, x[6] = {1.0, 0.2, 0.0, 0.5, 1.0, 0.1};
-    dal_system *base = NULL, *system = NULL;
-    need(dal_system_builtin(&base, "particle_oscillator", springs, k, 3, NULL), "base", "");
+    dal_system *const base = open_builtin("particle_oscillator", 3, springs, k);
     dal_system_def def = base->def;
     def.force = light_brake;
     def.exact = NULL;
-    need(dal_system_new(&system, &def, NULL), "braked", "");
+    dal_system *const system = new_system(&def);
     dal_stepper *const stepper = started(BY_LIBRARY, system, "midpoint", 2.1328142859, x);
     dal_stats stats;
     CHECK(dal_advance(stepper, 60, NULL, NULL) == DAL_SUCCESS);
     dal_stepper_stats(stepper, &stats);
     CHECK(stats.full_newtons > 20);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
-    dal_system_free(base);
 }
 
 /* ---- forces that are positional -------------------------------------------------------------- */
@@ -322,13 +300,11 @@ static void test_unit_of_mass(void)
             const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = plane_blade,
                                         .force = heavy_drive, .inputs = 1, .ctx = &unit,
                                         .state = state, .name = "cart"};
-            dal_system *system = NULL;
-            need(dal_system_new(&system, &def, NULL), "heavy cart", "");
+            dal_system *const system = new_system(&def);
             dal_stepper *const stepper = started(BY_LIBRARY, system, records[r], 0.05, NULL);
             CHECK(dal_advance(stepper, 200, NULL, NULL) == DAL_SUCCESS);
             memcpy(x[k], dal_stepper_state(stepper), sizeof x[k]);
-            dal_stepper_free(stepper);
-            dal_system_free(system);
+            release(system);
         }
         CHECK(memcmp(x[0], x[1], sizeof x[0]) == 0 && memcmp(x[0], x[2], sizeof x[0]) == 0);
     }
@@ -339,11 +315,10 @@ static void test_force_of_potential(void)
 {
     dal_system *const given = open_system("uneven_edge");
     dal_system_def def = given->def;
-    dal_system *forced = NULL;
     def.potential = NULL;
     def.force = uneven_weight;
     def.positional = 1;
-    need(dal_system_new(&forced, &def, NULL), "forced", "");
+    dal_system *const forced = new_system(&def);
     for (size_t i = 0; i < DAL_LENGTH(schemes); i++)
         for (way w = BY_LIBRARY; w <= BY_ANY_SIZES; w++) {
             dal_stepper *const one = started(w, given, schemes[i], 0.05, NULL);
@@ -357,8 +332,7 @@ static void test_force_of_potential(void)
             dal_stepper_stats(other, &of_other);
             CHECK(of_one.potential_calls > 0 && of_other.potential_calls == 0);
             CHECK(of_other.force_calls >= of_one.potential_calls);
-            dal_stepper_free(one);
-            dal_stepper_free(other);
+            release(other);
         }
     double x[6];
     dal_stepper *const away = started(BY_LIBRARY, forced, "midpoint", 0.05, NULL);
@@ -367,9 +341,6 @@ static void test_force_of_potential(void)
     CHECK(dal_stepper_start(away, 0.0, 0.05, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     CHECK(dal_step(away, NULL) == DAL_EDOMAIN);
     CHECK(strstr(dal_stepper_error(away)->text, "force") != NULL);
-    dal_stepper_free(away);
-    dal_system_free(forced);
-    dal_system_free(given);
 }
 
 /* What is declared positional, and is not, is refused; so is the declaration without a force. */
@@ -381,13 +352,11 @@ static void test_false_declaration(void)
     dal_error error;
     const dal_scheme scheme = find_scheme("leapfrog");
     def.positional = 1;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    system = new_system(&def);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, def.state, DAL_CHECK, DAL_INITIAL_NONE)
           == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(stepper)->text, "positional, but f[0] is") != NULL);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
     def.positional = 2;
     CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "positional = 2: expected 0 or 1") != NULL);
@@ -396,7 +365,6 @@ static void test_false_declaration(void)
     def.positional = 1;
     CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "positional = 1: expected 0, because force is NULL") != NULL);
-    dal_system_free(cart);
 }
 
 /* An input that changes is that of the next step, also where forces are carried over from the step
@@ -426,11 +394,8 @@ static void test_change_of_input(void)
         CHECK(dal_step(stepper, NULL) == 0 && dal_step(fresh, NULL) == 0);
         CHECK_NEAR(largest_difference(6, dal_stepper_state(stepper), dal_stepper_state(fresh)), 0.0,
                    200 * U);
-        dal_stepper_free(stepper);
-        dal_stepper_free(fresh);
-        dal_stepper_free(still);
+        release(still);
     }
-    dal_system_free(system);
 }
 
 int main(void)

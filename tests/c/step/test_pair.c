@@ -33,11 +33,8 @@ static dal_system *open(const char *name)
     if (strcmp(name, "pushed") != 0) return open_system(name);
     dal_system *const edge = open_system("uneven_edge");
     dal_system_def def = edge->def;
-    dal_system *system = NULL;
     def.force = push;
-    need(dal_system_new(&system, &def, NULL), name, "");
-    dal_system_free(edge); /* its callbacks need nothing of it */
-    return system;
+    return new_system(&def);
 }
 
 static void start(dal_stepper *stepper, const dal_system *system, double step)
@@ -69,10 +66,9 @@ static void check_steps(const char *name, const dal_scheme *scheme, const dal_pa
     dal_system *const system = open(name);
     const size_t n = dal_system_n(system), m = dal_system_m(system);
     dal_stepper *const stepper = open_stepper(system, scheme, NULL);
-    dal_discrete *discrete = NULL;
     double x[MOST_2N], reaction[MOST_M], lambda[MOST_M], sum[MOST_M] = {0.0}, worst = 0.0;
     dal_stats stats;
-    need(dal_discrete_new(&discrete, system, &maps->lagrangian, &maps->constraint, NULL), name, "");
+    dal_discrete *const discrete = open_discrete(system, maps->lagrangian, &maps->constraint);
     start(stepper, system, step);
     for (size_t k = 0; k < STEPS; k++) {
         memcpy(x, dal_stepper_state(stepper), 2 * n * sizeof *x);
@@ -102,9 +98,6 @@ static void check_steps(const char *name, const dal_scheme *scheme, const dal_pa
     CHECK(memcmp(x, dal_stepper_state(stepper), 2 * n * sizeof *x) == 0);
     for (size_t a = 0; a < m; a++)
         CHECK_NEAR(reaction[a], sum[a] / STEPS, 4 * STEPS * U * (1.0 + fabs(reaction[a])));
-    dal_stepper_free(stepper);
-    dal_discrete_free(discrete);
-    dal_system_free(system);
 }
 
 static void test_steps(void)
@@ -137,7 +130,7 @@ static void test_own_maps(void)
         if (!brief()) check_steps(names[s], &scheme, &maps, h, 0);
         scheme.data = &swapped;
         check_steps(names[s], &scheme, &swapped, h, 0);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -162,9 +155,7 @@ static void test_beta(void)
             const double error = 64 * U * STEPS * sum_of_sizes(N, x);
             check_near(largest_difference(N, x, y), 0.0, error, names[s], pairs[j], __LINE__);
             CHECK_NEAR(largest_difference(m, first, second), 0.0, error / h);
-            dal_stepper_free(one);
-            dal_stepper_free(two);
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -186,7 +177,6 @@ static void test_orders(void)
         CHECK_NEAR(order.p, scheme.order, 0.2);
         check_true(order.holds == 1 && order.keeps_D == 1, order.text, pairs[j], __LINE__);
     }
-    dal_system_free(system);
 }
 
 static void refused(dal_scheme scheme, const char *words)
@@ -196,7 +186,6 @@ static void refused(dal_scheme scheme, const char *words)
     dal_error error;
     CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, &error) == DAL_EINVAL && !stepper);
     check_true(strstr(error.text, words) != NULL, error.text, words, __LINE__);
-    dal_system_free(system);
 }
 
 static void test_records(void)

@@ -128,10 +128,7 @@ static dal_system *open_own(int which)
         def.missing = DAL_MISSING_L_QQ | DAL_MISSING_L_VQ;
         def.ctx = (void *)(which == GYROSCOPIC ? &none : &some);
     }
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "own", error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* ---- what a step is ------------------------------------------------------------------------- */
@@ -184,10 +181,7 @@ static void test_step(void)
             dal_stats stats;
             dal_stepper_stats(stepper, &stats);
             CHECK(stats.scaled == 20 && stats.unscaled == 0 && stats.steps == 20);
-            dal_stepper_free(plain);
-            dal_stepper_free(stepper);
-            dal_mechanics_free(mechanics);
-            dal_system_free(system);
+            release(system);
         }
     /* one leapfrog of the quartic system: what is not V and not the reaction is along v and v' */
     dal_system *const system = open_own(QUARTIC);
@@ -221,8 +215,6 @@ static void test_step(void)
         CHECK(fabs(2.0 * a / h - 1.0) < 0.1 && fabs(2.0 * a / h - 1.0) > 1e-9);
         CHECK(fabs(most) < 1e-11); /* the lines meet to roundoff over the sine of their angle */
     }
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- what it keeps -------------------------------------------------------------------------- */
@@ -281,11 +273,7 @@ static void test_kept(void)
         CHECK((double)stats.constraint_calls < 2.1 * (double)of_plain.constraint_calls);
         CHECK((double)stats.constraint_calls + 200.0 > (double)of_plain.constraint_calls
               * (1.0 + (double)stats.scaled / (double)stats.steps));
-        dal_stepper_free(plain);
-        dal_stepper_free(other);
-        dal_stepper_free(stepper);
-        dal_mechanics_free(mechanics);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -302,7 +290,6 @@ static double come_back(const dal_system *system, double h)
     begin(stepper, x, -h);
     CHECK(dal_advance(stepper, steps, NULL, NULL) == DAL_SUCCESS);
     const double error = largest_difference(N, start, dal_stepper_state(stepper));
-    dal_stepper_free(stepper);
     return error;
 }
 
@@ -325,17 +312,15 @@ static void test_order(void)
                 CHECK(dal_step(stepper, NULL) == 0 && dal_step(exact, NULL) == 0);
                 errors[k] =
                     largest_difference(6, dal_stepper_state(stepper), dal_stepper_state(exact));
-                dal_stepper_free(exact);
-                dal_stepper_free(stepper);
+                release(stepper);
             }
             CHECK_NEAR(log2(errors[0] / errors[1]), order + 1.0, 0.4);
         }
-        dal_system_free(system);
+        release(system);
     }
     dal_system *const system = open_own(QUARTIC);
     const double far = come_back(system, 0.1), near = come_back(system, 0.05);
     CHECK(far < 1e-4 && near < far / 8.0);
-    dal_system_free(system);
 }
 
 /* ---- where it cannot ------------------------------------------------------------------------ */
@@ -365,9 +350,7 @@ static dal_system *open_pendulum(double *edge)
     static const double mass = 1.0, state[2] = {0.0, 1.0};
     const dal_system_def def = {.n = 1, .mass = &mass, .potential = pendulum, .state = state,
                                 .ctx = edge};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "pendulum", "");
-    return system;
+    return new_system(&def);
 }
 
 static void test_limits(void)
@@ -444,10 +427,6 @@ static void test_limits(void)
     CHECK(dal_advance(stepper, 64, NULL, NULL) == DAL_SUCCESS);
     dal_stepper_stats(stepper, &stats);
     CHECK(stats.jump_step == 64 && fabs(stats.jump) > 0.5 * stats.largest_kinetic);
-    dal_stepper_free(plain);
-    dal_stepper_free(stepper);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 
     /* and so is a drift that was undone step by step */
     dal_system *const drifting = open_own(GYROSCOPIC);
@@ -459,23 +438,17 @@ static void test_limits(void)
     CHECK(stats.jump_step > 64 && stats.unscaled == 0);
     dal_mechanics *const measures = open_mechanics(drifting);
     CHECK_NEAR(energy_of(measures, dal_stepper_state(held)), last, 1e-14);
-    dal_mechanics_free(measures);
-    dal_stepper_free(held);
-    dal_system_free(drifting);
 
     /* an energy that overflows is not kept */
     const double mass = 1.0, fast[2] = {0.0, 1.2e154}, faster[2] = {0.0, 2.0e154};
     const dal_system_def def = {.n = 1, .mass = &mass, .potential = slope};
-    dal_system *steep = NULL;
-    need(dal_system_new(&steep, &def, NULL), "slope", "");
+    dal_system *const steep = new_system(&def);
     dal_stepper *const falling = keeping(steep, "leapfrog");
     begin(falling, fast, 1.0);
     CHECK(dal_step(falling, NULL) == DAL_SUCCESS);
     dal_stepper_stats(falling, &stats);
     CHECK(stats.unscaled == 1);
     CHECK(dal_stepper_start(falling, 0.0, 1.0, faster, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EDOMAIN);
-    dal_stepper_free(falling);
-    dal_system_free(steep);
 }
 
 /* A callback that fails now: what the first, or the second, plain step of a step does then. */
@@ -496,8 +469,7 @@ static void test_failures(void)
     fuse f = {.until = -1};
     const dal_system_def def = {.n = 1, .mass = &mass, .potential = fused, .state = state,
                                 .ctx = &f};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "fused", "");
+    dal_system *const system = new_system(&def);
     const dal_scheme leapfrog = find_scheme("leapfrog");
     dal_stepper *const stepper = keeping(system, "leapfrog");
     dal_stepper *const plain = open_stepper(system, &leapfrog, NULL);
@@ -536,9 +508,6 @@ static void test_failures(void)
     CHECK(f.calls == 2);
     f = (fuse){.until = 2, .returns = 1}; /* the energy that is to be kept */
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, state, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EDOMAIN);
-    dal_stepper_free(plain);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 static void test_saved(void)
@@ -574,10 +543,7 @@ static void test_saved(void)
             bad[i] = -1.5;
             if (dal_stepper_restore(other, bad, count) == DAL_SUCCESS) dal_step(other, NULL);
         }
-        dal_stepper_free(plain);
-        dal_stepper_free(other);
-        dal_stepper_free(one);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -624,7 +590,6 @@ static void test_refused(void)
     const dal_scheme scheme = {.name = "nowhere", .family = &nowhere, .symmetric = 1};
     dal_stepper *stepper = NULL;
     CHECK(dal_stepper_new(&stepper, edge, &scheme, &keep, NULL) == DAL_EUNSUPPORTED);
-    dal_system_free(edge);
 
     const double mass[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
     const dal_system_def defs[] = {
@@ -635,10 +600,9 @@ static void test_refused(void)
     const char *const words[] = {"has affine constraints", "has nonlinear constraints",
                                  "has a force", "dependence on time"};
     for (int i = 0; i < 4; i++) {
-        dal_system *system = NULL;
-        need(dal_system_new(&system, &defs[i], NULL), words[i], "");
+        dal_system *const system = new_system(&defs[i]);
         refuse(system, "leapfrog", keep, words[i]);
-        dal_system_free(system);
+        release(system);
     }
     /* L of another degree in v is found at the start */
     dal_system *const other = open_own(NOT_QUADRATIC);
@@ -649,8 +613,6 @@ static void test_refused(void)
     CHECK(strstr(dal_stepper_error(stepper)->text, "quadratic in v") != NULL);
     memset(x + 3, 0, 3 * sizeof *x); /* and from rest too */
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EUNSUPPORTED);
-    dal_stepper_free(stepper);
-    dal_system_free(other);
 }
 
 /* ---- runs ----------------------------------------------------------------------------------- */
@@ -718,9 +680,6 @@ static void test_events(void)
     CHECK(b.count >= 3 && b.energy < 0.9 * E);
     for (int k = 0; k < TIMES; k++) CHECK_NEAR(energy_of(b.mechanics, at + 6 * k), E, 1e-14);
     dal_events_free(events);
-    dal_stepper_free(stepper);
-    dal_mechanics_free(b.mechanics);
-    dal_system_free(system);
 }
 
 /* Members have the bits that they have alone, also where lanes were asked for. */
@@ -742,9 +701,8 @@ static void test_members(void)
         CHECK(dal_advance(stepper, steps, NULL, NULL) == DAL_SUCCESS);
         CHECK(memcmp(states + 6 * k, dal_stepper_state(stepper), 6 * sizeof *states) == 0);
         CHECK(stats[k].scaled == steps);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 int main(void)

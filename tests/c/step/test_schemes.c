@@ -215,11 +215,10 @@ static void test_usual(void)
             .kind = k == 4 ? DAL_AFFINE : DAL_LINEAR,
             .constraint = k >= 4 ? no_constraint : NULL,
         };
-        dal_system *system = NULL;
-        CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
+        dal_system *const system = new_system(&def);
         const bool apart = k == 1 || k == 2 || k == 4;
         CHECK(strcmp(dal_scheme_usual(system), apart ? "midpoint" : "leapfrog") == 0);
-        dal_system_free(system);
+        release(system);
     }
     CHECK(strcmp(dal_scheme_usual(NULL), "leapfrog") == 0);
 }
@@ -244,16 +243,15 @@ static void test_explicit_and_shift(void)
     const double mass[4] = {1, 0, 0, 1};
     dal_system_def def = {.n = 2, .mass = mass};
     for (int k = 0; k < 4; k++) {
-        dal_system *other = NULL;
         def.mass = k == 1 ? NULL : mass;
         def.lagrangian = k == 1 ? no_lagrangian : NULL;
         def.force = k == 2 ? no_force : NULL;
         def.m = k == 3;
         def.constraint = k == 3 ? no_constraint : NULL;
         def.kind = k == 3 ? DAL_NONLINEAR : DAL_LINEAR;
-        CHECK(dal_system_new(&other, &def, NULL) == 0);
+        dal_system *const other = new_system(&def);
         CHECK(dal_scheme_is_explicit(&twice, other) == (k == 0));
-        dal_system_free(other);
+        release(other);
     }
     CHECK(dal_scheme_is_explicit(&single, system) == 0);
     const dal_scheme pair = find_scheme("pair:0:0");
@@ -263,7 +261,6 @@ static void test_explicit_and_shift(void)
     CHECK(dal_scheme_shift(&twice, &shift) == DAL_EUNSUPPORTED && shift == 0.75);
     CHECK(dal_scheme_shift(NULL, &shift) == DAL_EINVAL);
     CHECK(dal_scheme_shift(&single, NULL) == DAL_EINVAL);
-    dal_system_free(system);
 }
 
 int main(void)

@@ -184,10 +184,7 @@ static dal_system *open_chain(chain *c, unsigned missing)
         .steady = c->free ? DAL_STEADY_DECLARED : 0,
         .masses = c->masses ? masses : NULL, .mass = c->masses ? NULL : mass,
         .sparsity = c->sparse ? &sparsity : NULL};
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_new(&system, &def, &error), "chain", error.text);
-    return system;
+    return new_system(&def);
 }
 
 /* All entries and a matrix, a sparsity and masses, and one of these alone. */
@@ -205,7 +202,6 @@ static void open_kinds(const chain *c, dal_system *systems[KINDS])
 
 static void free_kinds(dal_system *systems[KINDS])
 {
-    for (size_t kind = 0; kind < KINDS; kind++) dal_system_free(systems[kind]);
 }
 
 /* A state of D. */
@@ -219,7 +215,6 @@ static void start_of(const dal_system *system, double angle, double *x)
         x[n + i] = cos((double)i) + (i % 3 == 2 ? 0.5 : 0.0);
     }
     CHECK(dal_project(mech, 0.0, 0.0, x, NULL) == 0);
-    dal_mechanics_free(mech);
 }
 
 static const chain chains[] = {
@@ -271,7 +266,7 @@ static void test_steps(const chain *c, double angle)
             CHECK(dal_advance(stepper, brief() ? 1 : 20, reaction[s], NULL) == 0);
             memcpy(x[s], dal_stepper_state(stepper), 2 * n * sizeof(double));
             dal_stepper_stats(stepper, &stats[s]);
-            dal_stepper_free(stepper);
+            release(stepper);
         }
         for (size_t a = 0; a < m; a++) /* in the units of the others */
             for (size_t s = 0; c->unit != 0.0 && a % 3 == 0 && s < KINDS; s++)
@@ -314,13 +309,11 @@ static void test_large_steps(const chain *c, size_t kind)
     start_of(systems[0], 0.0, x0);
     for (double h = 0.05; h < 3.0; h *= 1.15)
         for (size_t k = 0; k < 5; k++) {
-            const dal_scheme scheme = find_scheme(schemes[k]);
             double x[2][2 * MOST_COORDINATES];
             int status[2];
             for (int s = 0; s < 2; s++) {
-                dal_stepper *const stepper = open_stepper(systems[s], &scheme, NULL);
                 dal_stats before, stats;
-                CHECK(dal_stepper_start(stepper, 0.0, h, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+                dal_stepper *const stepper = start_named(systems[s], schemes[k], h, x0);
                 if (dal_system_inputs(systems[s]) > 0) CHECK(dal_stepper_input(stepper, &u) == 0);
                 dal_stepper_stats(stepper, &before);
                 memset(&calls, 0, sizeof calls);
@@ -334,7 +327,7 @@ static void test_large_steps(const chain *c, size_t kind)
                 if (status[s]) /* and why is said */
                     CHECK(!strstr(dal_stepper_error(stepper)->text, dal_strerror(status[s])));
                 if (s == 1) left += stats.full_newtons;
-                dal_stepper_free(stepper);
+                release(stepper);
             }
             if (whole) CHECK(!status[1] || status[0]); /* it solves what the dense one does */
             if (status[1]) {
@@ -348,8 +341,6 @@ static void test_large_steps(const chain *c, size_t kind)
             }
         }
     CHECK(compared > 60 && refused > 5 && left > 10);
-    dal_system_free(systems[0]);
-    dal_system_free(systems[1]);
 }
 
 /* ---- mechanics -------------------------------------------------------------------------- */
@@ -395,7 +386,7 @@ static void test_mechanics(const chain *c)
         CHECK(dal_consistent(mech, 0.3, keep, near[s], NULL) == 0);
         CHECK(dal_step_equations(mech, 0.3, 0.5, 0.1, x0, near[s] + n, kappa, R1[s], R2[s],
                                  c->stiffness == 0.0 ? K[s] : NULL, B[s], muk[s]) == 0);
-        dal_mechanics_free(mech);
+        release(mech);
     }
     for (size_t s = 1; s < KINDS; s++) {
         compare("energy", 1, &E[0], &E[s]);
@@ -431,16 +422,13 @@ static void test_flow_and_chart(const chain *c)
     open_kinds(c, systems);
     start_of(systems[0], 0.0, x0);
     for (size_t s = 0; s < KINDS; s++) {
-        dal_flow *flow = NULL;
-        dal_chart *chart = NULL;
         memcpy(x[s], x0, sizeof x0);
-        CHECK(dal_flow_new(&flow, systems[s], DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
+        dal_flow *const flow = open_flow(systems[s], DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
         CHECK(dal_flow_apply(flow, 0.0, 0.3, x[s], &accuracy[s]) == 0);
-        CHECK(dal_chart_new(&chart, systems[s], NULL) == 0);
+        dal_chart *const chart = open_chart(systems[s]);
         CHECK(dal_chart_choose(chart, 0.0, NULL, x0) == 0);
         CHECK(dal_chart_condition(chart, 0.0, x0, &condition[s]) == 0);
-        dal_flow_free(flow);
-        dal_chart_free(chart);
+        release(chart);
     }
     for (size_t s = 1; s < KINDS; s++) {
         CHECK_NEAR(largest_difference(2 * n, x[0], x[s]), 0.0, 1e-11);
@@ -461,17 +449,13 @@ static void test_differences(const chain *given)
         c.sparse = c.masses = s == 1;
         dal_system *const system = open_chain(&c, DAL_MISSING_PHI_Q | DAL_MISSING_V_QQ);
         dal_mechanics *const mech = open_mechanics(system);
-        const dal_scheme scheme = find_scheme("midpoint");
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         if (s == 0) start_of(system, 0.0, x0);
         CHECK(dal_multipliers(mech, 0.0, x0, lambda[s]) == 0);
-        CHECK(dal_stepper_start(stepper, 0.0, 0.05, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const stepper = start_named(system, "midpoint", 0.05, x0);
         CHECK(dal_advance(stepper, 10, NULL, NULL) == 0);
         dal_stepper_stats(stepper, &stats[s]);
         if (s == 1) CHECK(system->colours <= (c.far ? 8 : 5));
-        dal_mechanics_free(mech);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
     compare("multipliers", given->links, lambda[0], lambda[1]);
     CHECK(stats[1].worst_residual <= 12.0 * (double)given->links * U);
@@ -540,11 +524,9 @@ static void test_refused(void)
     const dal_scheme scheme = find_scheme("leapfrog");
     def = (dal_system_def){.n = 3, .m = 1, .constraint = chain_constraint, .ctx = &c,
                            .masses = masses, .sparsity = &sparsity, .compiled = &compiled};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "compiled and sparsity") != NULL);
-    dal_system_free(system);
 }
 
 /* Constraints that turn with what they push are not steady. */
@@ -559,12 +541,10 @@ static void test_not_steady(void)
         const dal_scheme scheme = find_scheme("midpoint");
         start_of(system, 0.0, x0);
         def.steady = DAL_STEADY_DECLARED;
-        CHECK(dal_system_new(&steady, &def, NULL) == 0);
+        steady = new_system(&def);
         dal_stepper *const stepper = open_stepper(steady, &scheme, NULL);
         CHECK(dal_stepper_start(stepper, 0.0, 0.1, x0, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
-        dal_stepper_free(stepper);
-        dal_system_free(steady);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -585,14 +565,9 @@ static void test_cancellation(void)
     const dal_sparsity sparsity = {2, row, column};
     const dal_system_def def = {.n = 3, .m = 2, .constraint = vanishing_constraint,
                                 .masses = masses, .sparsity = &sparsity};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-    CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_system *const system = new_system(&def);
+    dal_stepper *const stepper = start_named(system, "midpoint", 0.1, x);
     CHECK(dal_step(stepper, NULL) == DAL_ESINGULAR);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* Systems that differ in a mass or in an entry are different ones, for a state that was saved. */
@@ -606,11 +581,10 @@ static void test_identity(void)
         const dal_sparsity sparsity = {3, row[k == 2], column[k == 3]};
         const dal_system_def def = {.n = 3, .m = 2, .constraint = many_blades,
                                     .masses = masses[k == 1], .sparsity = &sparsity};
-        dal_system *system = NULL;
-        CHECK(dal_system_new(&system, &def, NULL) == 0);
+        dal_system *const system = new_system(&def);
         found[k] = dal__scheme_identify(system, &scheme);
         for (int i = 0; i < k; i++) CHECK(found[i] != found[k]);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -631,7 +605,7 @@ static void test_which_are_lean(void)
             dal_system *const system = open_kind(c[k], kind);
             CHECK(system->lean == lean[k][kind]);
             CHECK(system->curved == (c[k].curved && kind == 1));
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -664,8 +638,7 @@ static void test_forgetful(const dal_sparsity *sparsity)
                                         .mass = way == 0 ? NULL : mass, .sparsity = sparsity,
                                         .time_dependent = timed};
             double lambda[2];
-            dal_system *system = NULL;
-            CHECK(dal_system_new(&system, &def, NULL) == 0);
+            dal_system *const system = new_system(&def);
             dal_mechanics *const mech = open_mechanics(system);
             forgetful = !timed;
             CHECK(dal_multipliers(mech, 0.0, x, lambda) == DAL_EDOMAIN);
@@ -673,8 +646,7 @@ static void test_forgetful(const dal_sparsity *sparsity)
                               timed ? "phi_t[0,1]" : "phi_v[1,2]") != NULL,
                        dal_mechanics_error(mech)->text, __FILE__, __LINE__);
             forgetful = false;
-            dal_mechanics_free(mech);
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -685,19 +657,16 @@ static void test_accuracy(const dal_sparsity *sparsity)
     const dal_system_def def = {.n = 3, .m = 2, .constraint = poor_constraint, .masses = masses,
                                 .sparsity = sparsity};
     double accuracy[2];
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     for (int k = 0; k < 2; k++) {
         double x[6] = {0, 0, 0, 0, 1, 0};
-        dal_flow *flow = NULL;
         apart = k == 0 ? 0.2 : 1e-4;
-        CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
+        dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
         CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &accuracy[k]) == 0);
-        dal_flow_free(flow);
+        release(flow);
     }
     CHECK(accuracy[1] > 100.0 * accuracy[0]);
     apart = 0.2;
-    dal_system_free(system);
 }
 
 /* How large the form of a coordinate is that is kept does not matter. */
@@ -718,13 +687,10 @@ static void test_kept_units(void)
                                 .sparsity = &sparsity};
     const unsigned char keep[3] = {1, 0, 0};
     double x[6] = {0.0, 0.0, 0.0, 1e-20, 0.0, 0.0};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_system *const system = new_system(&def);
     dal_mechanics *const mech = open_mechanics(system);
     CHECK(dal_consistent(mech, 0.0, keep, x, NULL) == 0);
     CHECK_NEAR(x[4], -1.0, 4.0 * U);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
 }
 
 /* A callback that refuses is named, also where V and a force act together; and a C that overflows
@@ -732,14 +698,12 @@ static void test_kept_units(void)
 static void test_names(void)
 {
     const chain dragged = {.links = 3, .drag = 0.5}, large = {.links = 4, .unit = 0x1p600};
-    const dal_scheme scheme = find_scheme("midpoint");
     for (size_t kind = 0; kind < KINDS; kind++) {
         double x0[2 * MOST_COORDINATES] = {0.0}, C[16] = {0.0}, R1[9], w[9] = {0.0};
         dal_system *system = open_kind(dragged, kind);
         dal_mechanics *mech = open_mechanics(system);
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         start_of(system, 0.0, x0);
-        CHECK(dal_stepper_start(stepper, 0.0, 0.1, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const stepper = start_named(system, "midpoint", 0.1, x0);
         refusing = true;
         CHECK(dal_step(stepper, NULL) == DAL_EUSER);
         CHECK(strstr(dal_stepper_error(stepper)->text, "force returned -1") != NULL);
@@ -747,15 +711,12 @@ static void test_names(void)
               == DAL_EUSER);
         CHECK(strstr(dal_mechanics_error(mech)->text, "force returned -1") != NULL);
         refusing = false;
-        dal_stepper_free(stepper);
-        dal_mechanics_free(mech);
-        dal_system_free(system);
+        release(system);
 
         system = open_kind(large, kind);
         mech = open_mechanics(system);
         CHECK(dal_gram(mech, 0.0, x0, C) == DAL_EDOMAIN && C[0] == 0.0);
-        dal_mechanics_free(mech);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -766,11 +727,8 @@ static void test_failures(void)
     const dal_sparsity sparsity = {4, row, column};
     const dal_system_def def = {.n = 3, .m = 2, .constraint = poor_constraint, .masses = masses,
                                 .sparsity = &sparsity};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0);
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-    CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_system *const system = new_system(&def);
+    dal_stepper *const stepper = start_named(system, "midpoint", 0.1, x);
     CHECK(dal_step(stepper, NULL) == 0);
     equal = true;
     CHECK(dal_step(stepper, NULL) == DAL_ESINGULAR);
@@ -781,8 +739,6 @@ static void test_failures(void)
     forgetful = false;
     test_forgetful(&sparsity);
     test_accuracy(&sparsity);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- size ------------------------------------------------------------------------------- */
@@ -856,25 +812,20 @@ static void test_size(void)
     const dal_system_def def = {.n = n, .m = links, .constraint = many_blades, .ctx = &links,
                                 .masses = masses, .sparsity = &sparsity, .potential = sway,
                                 .force = friction};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "blades", "");
+    dal_system *const system = new_system(&def);
     dal_mechanics *const mech = open_mechanics(system);
     CHECK(dal_multipliers(mech, 0.0, x, reaction) == 0);
-    dal_mechanics_free(mech);
     for (size_t k = 0; k < 2; k++) {
-        const dal_scheme scheme = find_scheme(schemes[k]);
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         double worst = 0.0;
-        CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const stepper = start_named(system, schemes[k], 0.1, x);
         CHECK(dal_advance(stepper, 5, reaction, NULL) == 0);
         const double *const end = dal_stepper_state(stepper);
         for (size_t a = 0; a < links; a++)
             worst = fmax(worst, fabs(end[n + 3 * a] * sin(end[3 * a + 2])
                                      - end[n + 3 * a + 1] * cos(end[3 * a + 2])));
         CHECK(worst < 2.0 * (double)n * U);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
     dal__release(&memory);
 }
 

@@ -49,17 +49,14 @@ static int swing(double t, const double *q, double *V, double *V_q, double *V_qq
 /* Built-in systems by their number; then those of the fixtures. */
 enum { GENERIC4, UNEVEN, PUSHED, SWINGING, NONLINEAR, FIXTURES };
 
-/* *base is NULL, or what the system stands on. */
-static dal_system *open_numbered(size_t which, dal_system **base)
+static dal_system *open_numbered(size_t which)
 {
     const size_t count = dal_builtin_count();
-    dal_system *system = NULL;
-    *base = NULL;
     if (which < count) return open_system(dal_builtin_name(which));
     if (which - count == GENERIC4) return open_system("generic4");
     if (which - count == UNEVEN) return open_system("uneven_edge");
-    *base = open_system(which - count == NONLINEAR ? "generic4" : "uneven_edge");
-    dal_system_def def = (*base)->def;
+    dal_system *const base = open_system(which - count == NONLINEAR ? "generic4" : "uneven_edge");
+    dal_system_def def = base->def;
     if (which - count == PUSHED) {
         def.force = push;
         def.inputs = 1;
@@ -68,10 +65,7 @@ static dal_system *open_numbered(size_t which, dal_system **base)
         def.potential = swing;
     }
     def.time_dependent = def.potential == swing;
-    need(which - count == NONLINEAR ? dal_system_deform_nodes(&system, *base, 0.01, NULL)
-                                    : dal_system_new(&system, &def, NULL),
-         "fixture", "");
-    return system;
+    return which - count == NONLINEAR ? open_deformed_nodes(base, 0.01) : new_system(&def);
 }
 
 /* Named schemes by their number; then these. */
@@ -104,7 +98,6 @@ static void state_of(const dal_system *system, double *x)
         generic4_state(x);
     for (size_t i = 0; i < n; i++) x[n + i] += 0.1 + 0.03 * (double)i;
     need(dal_project(mechanics, 0.0, 0.0, x, NULL), "state", dal_mechanics_error(mechanics)->text);
-    dal_mechanics_free(mechanics);
 }
 
 static bool same_stats(const dal_stats *a, const dal_stats *b)
@@ -141,7 +134,7 @@ typedef struct outcome {
 /* From the numbers of a leg to those after it, with a system and a stepper of its own. */
 static outcome walk(const leg *l)
 {
-    dal_system *base, *const system = open_numbered(l->system, &base);
+    dal_system *const system = open_numbered(l->system);
     const dal_scheme scheme = numbered_scheme(l->scheme);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     outcome o = {0};
@@ -158,9 +151,7 @@ static outcome walk(const leg *l)
     o.t = dal_stepper_time(stepper);
     memcpy(o.x, dal_stepper_state(stepper), 2 * dal_system_n(system) * sizeof *x);
     dal_stepper_stats(stepper, &o.stats);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
-    dal_system_free(base);
+    release(system);
     return o;
 }
 
@@ -220,7 +211,7 @@ static struct {
 static void check_legs(size_t which_system, size_t which_scheme, double h, size_t steps)
 {
     enum { ROWS = LEGS + 1 };
-    dal_system *base, *const system = open_numbered(which_system, &base);
+    dal_system *const system = open_numbered(which_system);
     const dal_scheme scheme = numbered_scheme(which_scheme);
     const size_t N = 2 * dal_system_n(system), m = dal_system_m(system);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
@@ -268,9 +259,7 @@ static void check_legs(size_t which_system, size_t which_scheme, double h, size_
     seen.full_newtons += stats.full_newtons;
     seen.evaluations += stats.evaluations;
     seen.forces += stats.force_calls;
-    dal_stepper_free(stepper);
-    dal_system_free(system);
-    dal_system_free(base);
+    release(system);
 }
 
 static void test_same_bits(void)
@@ -442,9 +431,7 @@ static void test_spoiled(void)
         CHECK(dal_stepper_start(abroad, 0.0, -0.02, x, DAL_CHECK, initial_of(&scheme)) == 0);
         CHECK(dal_advance(home, 70, NULL, NULL) == 0 && dal_advance(abroad, 7, NULL, NULL) == 0);
         check_spoiled(home, abroad, 2 * dal_system_n(system));
-        dal_stepper_free(home);
-        dal_stepper_free(abroad);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -482,11 +469,10 @@ static void test_other_schemes(void)
             dal_stepper *const other = moving(system, &schemes[k]);
             if (j == k) CHECK(dal_stepper_restore(other, s.values, dal_stepper_saved(one)) == 0);
             else refused(other, s.values, dal_stepper_saved(one), "scheme");
-            dal_stepper_free(other);
+            release(other);
         }
-        dal_stepper_free(one);
+        release(one);
     }
-    dal_system_free(system);
 }
 
 /* Numbers of one system are refused by every other, also one that has only other parameters, or
@@ -494,19 +480,18 @@ static void test_other_schemes(void)
 static void test_other_systems(void)
 {
     const dal_scheme scheme = find_scheme("leapfrog");
-    dal_system *bases[24] = {NULL}, *systems[24];
+    dal_system *systems[24];
     size_t count = 0;
     for (; count < dal_builtin_count() + FIXTURES; count++)
         if (count != dal_builtin_count() + PUSHED) /* a force is no number */
-            systems[count] = open_numbered(count, &bases[count]);
+            systems[count] = open_numbered(count);
         else systems[count] = NULL;
     const char *const name = "k1";
     const double stiffness = 3.0, mass[9] = {2.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.8};
-    need(dal_system_builtin(&systems[count++], "particle_oscillator", &name, &stiffness, 1, NULL),
-         "particle_oscillator", "k");
+    systems[count++] = open_builtin("particle_oscillator", 1, &name, &stiffness);
     dal_system_def def = systems[dal_builtin_count() + UNEVEN]->def;
     def.mass = mass;
-    need(dal_system_new(&systems[count++], &def, NULL), "uneven_edge", "");
+    systems[count++] = new_system(&def);
     for (size_t j = 0; j < count; j++) {
         if (!systems[j]) continue;
         dal_stepper *const one = moving(systems[j], &scheme);
@@ -516,13 +501,9 @@ static void test_other_systems(void)
             dal_stepper *const other = moving(systems[k], &scheme);
             if (j == k) CHECK(dal_stepper_restore(other, s.values, dal_stepper_saved(one)) == 0);
             else refused(other, s.values, dal_stepper_saved(one), "another system or scheme");
-            dal_stepper_free(other);
+            release(other);
         }
-        dal_stepper_free(one);
-    }
-    for (size_t k = 0; k < count; k++) {
-        dal_system_free(systems[k]);
-        dal_system_free(bases[k]);
+        release(one);
     }
 }
 
@@ -542,7 +523,6 @@ static void test_refusals(void)
     CHECK(dal_stepper_restore(fresh, values, 40) == DAL_EINVAL && dal_step(fresh, NULL) < 0);
     CHECK(dal_stepper_save(NULL, values) == DAL_EINVAL);
     CHECK(dal_stepper_restore(NULL, values, 40) == DAL_EINVAL);
-    dal_stepper_free(fresh);
 
     scheme = find_scheme("reference");
     scheme.data = &adams;
@@ -558,8 +538,6 @@ static void test_refusals(void)
     }
     memcpy(y, dal_stepper_state(multistep), sizeof y);
     CHECK(memcmp(x, y, sizeof x) == 0 && values[0] == 7.0);
-    dal_stepper_free(multistep);
-    dal_system_free(system);
 }
 
 /* ---- after a failure ------------------------------------------------------------------------ */
@@ -582,14 +560,12 @@ static void test_after_failure(void)
     const double mass = 1.0, x0[2] = {1.0, 0.5};
     bool bad = false;
     const dal_system_def def = {.n = 1, .mass = &mass, .potential = spring, .ctx = &bad};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "spring", "");
+    dal_system *const system = new_system(&def);
     for (size_t j = 0; j < DAL_LENGTH(names); j++)
         for (size_t steps = 0; steps <= 5; steps += 5) {
             const dal_scheme scheme = find_scheme(names[j]);
-            dal_stepper *const one = open_stepper(system, &scheme, NULL);
             dal_stepper *const two = open_stepper(system, &scheme, NULL);
-            CHECK(dal_stepper_start(one, 0.0, 0.1, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            dal_stepper *const one = start_stepper(system, &scheme, 0.1, x0);
             CHECK(dal_advance(one, steps, NULL, NULL) == 0);
             bad = true;
             CHECK(dal_step(one, NULL) == DAL_EDOMAIN);
@@ -599,10 +575,8 @@ static void test_after_failure(void)
                  dal_stepper_error(two)->text);
             CHECK(dal_advance(one, 10, NULL, NULL) == 0 && dal_advance(two, 10, NULL, NULL) == 0);
             CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(two), sizeof x0) == 0);
-            dal_stepper_free(one);
-            dal_stepper_free(two);
+            release(two);
         }
-    dal_system_free(system);
 }
 
 int main(int count, char **words)

@@ -33,7 +33,6 @@ static void state_of(const dal_system *system, double *x)
     dal_mechanics *const mechanics = open_mechanics(system);
     need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project",
          dal_mechanics_error(mechanics)->text);
-    dal_mechanics_free(mechanics);
 }
 
 /* steps steps from x0 as it is; x <- the state, reaction (or NULL) <- the mean reaction. */
@@ -46,7 +45,6 @@ static void flow_from(const dal_system *system, const dal_scheme *scheme, double
     if (!status) status = dal_advance(stepper, steps, reaction, NULL);
     check_true(status == DAL_SUCCESS, dal_stepper_error(stepper)->text, system->def.name, __LINE__);
     memcpy(x, dal_stepper_state(stepper), 2 * dal_system_n(system) * sizeof *x);
-    dal_stepper_free(stepper);
 }
 
 static void flow(const dal_system *system, const dal_scheme *scheme, double h, size_t steps,
@@ -110,8 +108,7 @@ static void test_equations_of(const dal_system *system, const double *x0)
             const dal_scheme scheme = beta_scheme(betas[b]);
             const double h = 0.05 * sign;
             double x[2 * MOST_N], lambda[MOST_M];
-            dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-            CHECK(dal_stepper_start(stepper, 0.0, h, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            dal_stepper *const stepper = start_stepper(system, &scheme, h, x0);
             for (int k = 0; k < 12; k++) {
                 memcpy(x, dal_stepper_state(stepper), 2 * n * sizeof *x);
                 CHECK(dal_step(stepper, lambda) == DAL_SUCCESS);
@@ -119,9 +116,8 @@ static void test_equations_of(const dal_system *system, const double *x0)
                 check_equations(mechanics, system, betas[b], h, x, x1, lambda);
                 CHECK(residual_of(system, 0.0, x1) <= DAL_RESIDUAL_BOUND(n));
             }
-            dal_stepper_free(stepper);
+            release(stepper);
         }
-    dal_mechanics_free(mechanics);
 }
 
 /* beta = 0: the reaction in closed form, lambda = -C^-1 mu w / h at q1 = q + h v with w = v - h
@@ -148,7 +144,6 @@ static void test_explicit_reaction(const dal_system *system, const double *x, do
     flow(system, &scheme, h, 1, x, end, lambda);
     for (size_t a = 0; a < m; a++)
         CHECK_NEAR(h * lambda[a], -impulse[a], ROUNDOFF * sum_of_sizes(2 * n, y));
-    dal_mechanics_free(mechanics);
 }
 
 /* vddot[n] <- the second derivative of v along the motion through x: vdot differenced along it. */
@@ -189,7 +184,6 @@ static void test_expansions(const dal_system *system, const double *x)
         check_near(log2(coarse / fine) / 2, symmetric ? 3.0 : 2.0, 0.2, "power of h",
                    system->def.name, (int)b);
     }
-    dal_mechanics_free(mechanics);
 }
 
 /* Every built-in system; sizes beyond the compiled ones, with M diagonal and full. */
@@ -203,7 +197,7 @@ static void test_equations(void)
         test_explicit_reaction(system, x, 0.05);
         test_explicit_reaction(system, x, -0.05);
         test_expansions(system, x);
-        dal_system_free(system);
+        release(system);
     }
     static const size_t sizes[][2] = {{1, 0}, {3, 2}, {6, 5}, {8, 4}, {9, 1}, {12, 6}};
     for (size_t s = 0; s < sizeof sizes / sizeof sizes[0]; s++)
@@ -211,15 +205,13 @@ static void test_equations(void)
             wide w;
             dal_system *const system = open_wide(&w, sizes[s][0], sizes[s][1], full, true);
             test_equations_of(system, w.state);
-            dal_system_free(system);
+            release(system);
         }
     const char *const names[] = {"pairs"};
     const double pairs = 10.0;
-    dal_system *large = NULL;
-    CHECK(dal_system_builtin(&large, "chaotic", names, &pairs, 1, NULL) == DAL_SUCCESS);
+    dal_system *const large = open_builtin("chaotic", 1, names, &pairs);
     state_of(large, x);
     test_equations_of(large, x);
-    dal_system_free(large);
 }
 
 /* ---- what is conserved ------------------------------------------------------------------- */
@@ -254,9 +246,7 @@ static void test_roundings(void)
         }
         check_true(largest <= runs[r].bound * fmax(1.0, fabs(E0)), "roundings add up",
                    runs[r].system, __LINE__);
-        dal_stepper_free(stepper);
-        dal_mechanics_free(mechanics);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -267,17 +257,14 @@ static void test_even_turns(void)
     static const char *const schemes[] = {"leapfrog", "midpoint", "leapfrog-suzuki4", "0.3"};
     dal_system *const system = open_system("particle");
     for (size_t k = 0; k < DAL_LENGTH(schemes); k++) {
-        const dal_scheme scheme = find_scheme(schemes[k]);
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         const double x[6] = {0.0, 0x1p53, 0.0, 0.0, 1.0, 0.0};
-        CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const stepper = start_named(system, schemes[k], 1.0, x);
         for (int step = 1; step <= 1000; step++) {
             CHECK(dal_step(stepper, NULL) == 0);
             CHECK(fabs(dal_stepper_state(stepper)[1] - 0x1p53 - step) <= 4.0);
         }
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* Midpoint conserves E where lambda.mu(q_k)(v + v1) = 0: on the disk, on heisenberg with its
@@ -301,8 +288,7 @@ static void test_exact_energy(void)
         flow(system, &mirror, 0.1, 7, x, x, NULL);
         CHECK(dal_energy(mechanics, 0.0, x, &E) == 0);
         if (s == 1) CHECK(fabs(E - E0) > 1e-5 * E0);
-        dal_mechanics_free(mechanics);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -328,7 +314,7 @@ static void test_momenta(void)
             CHECK(dal_system_state(system, x0) == 0);
             flow_from(system, &scheme, 0.01, initial, STEPS, x0, x, NULL);
             CHECK_NEAR(x[i], x0[i], STEPS * U * fabs(x0[i]));
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -372,7 +358,7 @@ static void test_adjoints(void)
             if (scheme.nodes == DAL_MOVED_NODES && !scheme.family)
                 check_inverse(system, &scheme, &scheme, 0.05, scheme.symmetric);
         }
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -394,7 +380,7 @@ static void test_there_and_back(void)
             const double extent = sum_of_sizes(2 * n, x0) + sum_of_sizes(2 * n, x1);
             CHECK(largest_difference(2 * n, x1, x0) > 0.1);
             CHECK_NEAR(largest_difference(2 * n, x, x0), 0.0, 8 * U * extent * STEPS * STEPS);
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -421,7 +407,7 @@ static void test_reversibility(void)
             CHECK(largest_difference(2 * n, x, y) == 0.0);
             for (size_t a = 0; a < m; a++)
                 CHECK(reacts ? lambda[a] == mirrored[a] : isnan(lambda[a]) && isnan(mirrored[a]));
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -438,11 +424,10 @@ static void test_mixing(void)
             dal_system *const mixed = open_mixed(system);
             const dal_scheme scheme = find_scheme(schemes[j]);
             const size_t n = dal_system_n(system), m = dal_system_m(system);
-            dal_stepper *const one = open_stepper(system, &scheme, NULL);
             dal_stepper *const two = open_stepper(mixed, &scheme, NULL);
             double x[2 * MOST_N], q[MOST_N], lambda[MOST_M], other[MOST_M], expected[MOST_M];
             state_of(system, x);
-            CHECK(dal_stepper_start(one, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            dal_stepper *const one = start_stepper(system, &scheme, h, x);
             CHECK(dal_stepper_start(two, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
             for (int k = 1; k <= STEPS; k++) {
                 memcpy(x, dal_stepper_state(one), 2 * n * sizeof *x);
@@ -454,10 +439,7 @@ static void test_mixing(void)
                 unmix(m, q, other, expected);
                 CHECK_NEAR(largest_difference(m, lambda, expected), 0.0, 4 * error / h);
             }
-            dal_stepper_free(one);
-            dal_stepper_free(two);
-            dal_system_free(mixed);
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -483,7 +465,7 @@ static void test_leapfrog_is_midpoint(void)
         } else {
             CHECK(largest_difference(2 * n, x1, x2) > 1e-4);
         }
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -515,7 +497,6 @@ static void test_no_constraint(void)
     }
     flow(system, &mirror, h, 10, w.state, x, NULL);
     CHECK_NEAR(largest_difference(6, x, y), 0.0, ROUNDOFF * 10);
-    dal_system_free(system);
 }
 
 /* A record of the user's own: {0.3, 1/4}, {0.7, 3/4} is the two steps one after the other, its
@@ -542,7 +523,7 @@ static void test_own_record(void)
         CHECK_NEAR(largest_difference(2 * n, dal_stepper_state(stepper), x1), 0.0, error);
         for (size_t a = 0; a < m; a++)
             CHECK_NEAR(reaction[a], 0.25 * l1[a] + 0.75 * l2[a], 4 * error / h);
-        dal_stepper_free(stepper);
+        release(stepper);
 
         parts[0] = (dal_substep){0.3, 0.5};
         parts[1] = (dal_substep){0.7, 0.5};
@@ -554,7 +535,7 @@ static void test_own_record(void)
         state_of(system, x1);
         flow(system, &named, h / 2, 10, x1, x1, NULL);
         CHECK_NEAR(largest_difference(2 * n, x0, x1), 0.0, 5 * error);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -567,10 +548,9 @@ static void test_reactions(void)
     dal_system *const system = open_system("particle");
     for (size_t b = 0; b < BETAS; b++) {
         const dal_scheme scheme = beta_scheme(betas[b]);
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         double x[6], x0[6], lambda = NAN, mean = NAN, sum = 0.0;
         CHECK(dal_system_state(system, x0) == 0);
-        CHECK(dal_stepper_start(stepper, 0.0, h, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const stepper = start_stepper(system, &scheme, h, x0);
         for (int k = 0; k < STEPS; k++) {
             memcpy(x, dal_stepper_state(stepper), sizeof x);
             CHECK(dal_step(stepper, &lambda) == 0);
@@ -582,9 +562,8 @@ static void test_reactions(void)
         CHECK_NEAR(mean, sum / STEPS, STEPS * ROUNDOFF / h);
         mean = 7.0; /* no steps, no mean */
         CHECK(dal_advance(stepper, 0, &mean, NULL) == DAL_SUCCESS && mean == 7.0);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* ---- kept nodes -------------------------------------------------------------------------- */
@@ -652,8 +631,6 @@ static void check_starts(const dal_system *system, double h)
     for (size_t i = 0; i < n; i++)
         CHECK_NEAR(dal_stepper_state(stepper)[i], x0[i] + shift * x0[n + i],
                    ROUNDOFF * sum_of_sizes(2 * n, x0));
-    dal_stepper_free(stepper);
-    dal_mechanics_free(mechanics);
 }
 
 static void test_kept_nodes(void)
@@ -665,7 +642,7 @@ static void test_kept_nodes(void)
             check_conjugate(system, betas[b], -0.02);
         }
         if (strcmp(all_systems[s], "heisenberg") != 0) check_starts(system, 0.02);
-        dal_system_free(system);
+        release(system);
     }
     /* The jump from D: without V the first lambda tends to lambda/2 (E12). */
     dal_system *const particle = open_system("particle");
@@ -675,7 +652,6 @@ static void test_kept_nodes(void)
     const double expected = x[3] * x[4] / (1 + x[1] * x[1]) / 2;
     flow_from(particle, &kept, 1e-6, DAL_INITIAL_D, 1, x, x, &lambda);
     CHECK_NEAR(lambda, expected, 4e-6); /* O(h); u/h is 1e-10 */
-    dal_system_free(particle);
 }
 
 /* ---- starts ------------------------------------------------------------------------------ */
@@ -760,9 +736,6 @@ static void test_starts(void)
     CHECK_NEAR(dal_stepper_state(stepper)[5], x0[5] + 0.5 - 0.5 / 1.09, 8 * U);
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, off, DAL_ASSUME, DAL_INITIAL_NONE) == DAL_SUCCESS);
     CHECK(memcmp(dal_stepper_state(stepper), off, sizeof off) == 0);
-    dal_stepper_free(stepper);
-    dal_stepper_free(nodes);
-    dal_system_free(system);
 }
 
 /* A start forgets: the same data give the same bits, whatever was done before. */
@@ -781,9 +754,8 @@ static void test_restart(void)
         CHECK(dal_advance(stepper, 30, NULL, NULL) == 0);
         flow(system, &scheme, 0.05, 30, x0, x, NULL);
         CHECK(largest_difference(8, x, dal_stepper_state(stepper)) == 0.0);
-        dal_stepper_free(stepper);
+        release(stepper);
     }
-    dal_system_free(system);
 }
 
 /* ---- options and statistics -------------------------------------------------------------- */
@@ -803,7 +775,6 @@ static void test_options(void)
     CHECK(dal_stepper_new(&stepper, NULL, &midpoint, NULL, &error) == DAL_EINVAL && !stepper);
     CHECK(dal_stepper_new(&stepper, system, NULL, NULL, NULL) == DAL_EINVAL && !stepper);
     dal_stepper_free(NULL);
-    dal_system_free(system);
 }
 
 /* Constant sizes and run-time sizes make the same operations in the same order: the same bits. */
@@ -834,9 +805,7 @@ static void test_sizes(void)
                              2 * n * sizeof(double)) == 0);
                 CHECK(memcmp(one, two, m * sizeof(double)) == 0);
                 CHECK(largest_difference(2 * n, w.state, dal_stepper_state(any)) > 0.0);
-                dal_stepper_free(fixed);
-                dal_stepper_free(any);
-                dal_system_free(system);
+                release(system);
             }
 }
 
@@ -864,8 +833,7 @@ static void test_multiroot(void)
             CHECK_NEAR(largest_difference(m, other, lambda), 0.0, 256 * U * extent / 0.05);
             dal_stepper_stats(slow, &stats);
             CHECK(stats.steps == 1 && stats.iterations > 0 && dal_stepper_time(slow) == 0.05);
-            dal_stepper_free(slow);
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -904,9 +872,7 @@ static void test_corners(void)
                 CHECK_NEAR(largest_difference(2 * n, dal_stepper_state(stepper), y), 0.0,
                            ROUNDOFF * sum_of_sizes(2 * n, y));
             }
-            dal_stepper_free(slow);
-            dal_stepper_free(stepper);
-            dal_system_free(system);
+            release(system);
         }
 }
 
@@ -935,8 +901,7 @@ static void test_from_rest(void)
     const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = bent_constraint,
                                 .potential = slope_potential};
     const char *const names[] = {"leapfrog", "midpoint", "endpoint"};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
+    dal_system *const system = new_system(&def);
     for (size_t j = 0; j < sizeof names / sizeof names[0]; j++) {
         const dal_scheme scheme = find_scheme(names[j]);
         dal_stepper *const slow = open_stepper_by(BY_MULTIROOT, system, &scheme);
@@ -946,9 +911,8 @@ static void test_from_rest(void)
         flow(system, &scheme, 0.5, 1, x0, x, NULL);
         CHECK_NEAR(largest_difference(6, dal_stepper_state(slow), x), 0.0,
                    ROUNDOFF * sum_of_sizes(6, x));
-        dal_stepper_free(slow);
+        release(slow);
     }
-    dal_system_free(system);
 }
 
 /* A blade whose angle is the sum of two coordinates: far from the origin the rounding of the sum is
@@ -971,10 +935,9 @@ static void test_far_from_the_origin(void)
     const double x0[8] = {0.0, 0.0, 1.0e4, 0.3, cos(1.0e4 + 0.3), sin(1.0e4 + 0.3), 1.0, -0.4};
     const char *const names[] = {"midpoint", "leapfrog-mirror", "midpoint-nodes"};
     for (size_t j = 0; j < sizeof names / sizeof names[0]; j++) {
-        dal_system *system = NULL;
         const dal_scheme scheme = find_scheme(names[j]);
         const bool kept = scheme.nodes == DAL_KEPT_NODES;
-        CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
+        dal_system *const system = new_system(&def);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         dal_mechanics *const mechanics = open_mechanics(system);
         int above = 0;
@@ -989,9 +952,7 @@ static void test_far_from_the_origin(void)
             above += relative > DAL_RESIDUAL_BOUND(4);
         }
         CHECK(above == 0);
-        dal_mechanics_free(mechanics);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -1006,11 +967,10 @@ static void test_statistics(void)
         for (size_t j = 0; j < 2; j++) {
             dal_system *const system = open_system(names[s]);
             const dal_scheme scheme = find_scheme(schemes[j]);
-            dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
             double x[2 * MOST_N];
             dal_stats start, stats;
             CHECK(dal_system_state(system, x) == 0);
-            CHECK(dal_stepper_start(stepper, 0.0, 0.01, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            dal_stepper *const stepper = start_stepper(system, &scheme, 0.01, x);
             dal_stepper_stats(stepper, &start);
             CHECK(start.steps == 0 && start.iterations == 0);
             CHECK(dal_advance(stepper, STEPS, NULL, NULL) == DAL_SUCCESS);
@@ -1022,24 +982,20 @@ static void test_statistics(void)
             CHECK(stats.full_newtons == 0 && stats.halvings == 0);
             CHECK(stats.worst_residual <= DAL_RESIDUAL_BOUND(dal_system_n(system)));
             CHECK(stats.differenced == 0);
-            dal_stepper_free(stepper);
-            dal_system_free(system);
+            release(system);
         }
     /* "explicit" evaluates mu once a step, and V_q once. */
     dal_system *const system = open_system("particle_oscillator");
     const dal_scheme scheme = find_scheme("explicit");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     double x[6];
     dal_stats start, stats;
     CHECK(dal_system_state(system, x) == 0);
-    CHECK(dal_stepper_start(stepper, 0.0, 0.01, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_stepper *const stepper = start_stepper(system, &scheme, 0.01, x);
     dal_stepper_stats(stepper, &start);
     CHECK(dal_advance(stepper, STEPS, NULL, NULL) == DAL_SUCCESS);
     dal_stepper_stats(stepper, &stats);
     CHECK(stats.potential_calls - start.potential_calls == STEPS);
     CHECK(stats.constraint_calls - start.constraint_calls <= STEPS + STEPS / 5);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* The particle at y = -1 with h v_y = 2: S = 1 + y y1 = 0 exactly for beta = 1. */
@@ -1054,8 +1010,6 @@ static void test_singular_step(void)
     CHECK(dal_step(stepper, &lambda) == DAL_ESINGULAR && lambda == 7.0);
     CHECK(memcmp(dal_stepper_state(stepper), x0, sizeof x0) == 0);
     CHECK(strstr(dal_stepper_error(stepper)->text, "step 1 (t = 0, h = 2)") != NULL);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* ---- looks at the energy ------------------------------------------------------------------ */
@@ -1084,10 +1038,7 @@ static void test_looks(void)
     const double mass[1] = {1.0}, x0[2] = {1.0, 0.0};
     watched w = {.k = 4.01};
     const dal_system_def def = {.n = 1, .mass = mass, .potential = watched_spring, .ctx = &w};
-    const dal_scheme scheme = find_scheme("leapfrog");
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &def, NULL), "watched", "");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = start_named(new_system(&def), "leapfrog", 1.0, x0);
     for (size_t at_once = 1; at_once <= 200; at_once += 9) {
         dal_stats stats;
         double kinetic = 0.0;
@@ -1106,8 +1057,6 @@ static void test_looks(void)
     w.stops = true;
     CHECK(dal_advance(stepper, 200, NULL, &done) == DAL_EUSER && done == 64);
     CHECK(strstr(dal_stepper_error(stepper)->text, "potential") != NULL);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
 }
 
 /* What the predictions of a stage leave to be evaluated: three times in a stage at best, where
@@ -1134,8 +1083,7 @@ static void test_predictions(void)
         CHECK(dal_advance(stepper, 400, NULL, NULL) == 0);
         dal_stepper_stats(stepper, &stats);
         CHECK((double)stats.constraint_calls < cases[i].most * (double)stats.substeps);
-        dal_stepper_free(stepper);
-        dal_system_free(system);
+        release(system);
     }
 }
 

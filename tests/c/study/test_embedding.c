@@ -61,7 +61,6 @@ static void test_vectors(void)
             dal_embedding_free(embedding);
         }
     }
-    dal_system_free(system);
 }
 
 /* The time-h map of the perturbed ODE is the scheme, from any start of a period; the curve through
@@ -75,9 +74,8 @@ static void test_period_map(const char *name, const char *scheme_name, double h)
     dal_embedding *const embedding = open_embedding(system, &def, NULL, z);
     dal_chart *const chart = dal_embedding_chart(embedding);
     const size_t width = 2 * system->def.n - system->def.m;
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     CHECK(dal_chart_lift(chart, 0.0, z, x) == 0);
-    CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    dal_stepper *const stepper = start_stepper(system, &scheme, h, x);
     CHECK(dal_step(stepper, NULL) == 0);
     CHECK(dal_chart_drop(chart, dal_stepper_state(stepper), end) == 0);
 
@@ -117,10 +115,7 @@ static void test_period_map(const char *name, const char *scheme_name, double h)
     for (size_t i = 0; i < 2 * n; i++)
         CHECK_NEAR(xdot[i], plain[i] + weight * gtilde[i], 1e3 * U * (1 + fabs(plain[i])));
     CHECK_NEAR(largest_difference(m, lambda, lambda0), 0.0, 1e3 * U * (1 + fabs(lambda0[0])));
-    dal_mechanics_free(mech);
-    dal_stepper_free(stepper);
     dal_embedding_free(embedding);
-    dal_system_free(system);
 }
 
 /* max |g| over tau. */
@@ -156,7 +151,6 @@ static void test_measures_order(const char *name, const char *scheme, int order)
                            / bound(system, scheme, 0.08, order + wrong);
         CHECK_NEAR(ratio, wrong > 0 ? 2.0 : 0.5, wrong > 0 ? 0.25 : 0.06);
     }
-    dal_system_free(system);
 }
 
 /* For h -> 0: g(tau, z) = -chi_0'(tau) d(z); d of the particle is known. */
@@ -184,7 +178,6 @@ static void test_limit(double beta, int order)
         for (size_t i = 0; i < 5; i++) CHECK_NEAR(g[i], -slope * sign * expected[i], 4e-3);
     }
     dal_embedding_free(embedding);
-    dal_system_free(system);
 }
 
 /* With h so large that the curves do not cover the states, no g is made up: the iteration says so,
@@ -203,7 +196,6 @@ static void test_too_large(const char *name, const char *scheme_name, double h)
     CHECK(dal_embedding_flow(embedding, 0.0, h, y) == DAL_ENOCONV);
     CHECK(memcmp(y, z, sizeof y) == 0);
     dal_embedding_free(embedding);
-    dal_system_free(system);
 }
 
 /* A contraction that is slow: after 100 iterations the last change, 0.8^100, is a little below or a
@@ -217,7 +209,6 @@ static void test_slow_contraction(double h, int expected)
     dal_embedding *const embedding = open_embedding(system, &def, NULL, z);
     CHECK(dal_embedding_source(embedding, 0.55, z, y) == expected);
     dal_embedding_free(embedding);
-    dal_system_free(system);
 }
 
 /* The particle, without its exact solution. */
@@ -249,8 +240,7 @@ static void test_watch(void)
     static const double state[6] = {0.1, 0.5, 0.2, 1.0, 0.7, 0.5};
     const dal_system_def own = {.n = 3, .m = 1, .mass = mass, .constraint = particle_constraint,
                                 .state = state};
-    dal_system *system = NULL;
-    need(dal_system_new(&system, &own, NULL), "system", "");
+    dal_system *const system = new_system(&own);
     const dal_scheme scheme = find_scheme("midpoint");
     const dal_embedding_def def = {.scheme = &scheme, .h = 0.1};
     double z[WIDTH], y[WIDTH], G[WIDTH] = {7.0}, far = -1.0;
@@ -268,7 +258,6 @@ static void test_watch(void)
     dal_embedding_watch(embedding, NULL, NULL);
     CHECK(dal_embedding_flow(embedding, 0.0, 0.1, y) == 0);
     dal_embedding_free(embedding);
-    dal_system_free(system);
 }
 
 static void test_failures(void)
@@ -331,7 +320,6 @@ static void test_failures(void)
     CHECK(dal_embedding_limit(embedding, z, g) == DAL_EDOMAIN && g[0] == 7.0);
     dal_embedding_free(embedding);
     dal_embedding_free(NULL);
-    dal_system_free(system);
 }
 
 int main(void)

@@ -57,28 +57,12 @@ enum { CHOICES = sizeof choices / sizeof choices[0] };
 
 static dal_system *make(const choice *c)
 {
-    dal_system *system = NULL;
-    dal_error error;
     size_t count = 0;
     while (c->parameters[count]) count++;
-    const int status =
-        dal_system_builtin(&system, c->name, c->parameters, c->values, count, &error);
-    CHECK(status == DAL_SUCCESS);
-    if (status) {
-        fprintf(stderr, "%s: %s\n", c->name, error.text);
-        exit(1);
-    }
-    return system;
+    return open_builtin(c->name, count, c->parameters, c->values);
 }
 
 static dal_system *plain(const char *name) { return make(&(choice){name, {NULL}, {0}}); }
-
-static dal_mechanics *mechanics_of(const dal_system *system)
-{
-    dal_mechanics *mechanics = NULL;
-    if (dal_mechanics_new(&mechanics, system, NULL)) exit(1);
-    return mechanics;
-}
 
 static double largest(size_t count, const double *x)
 {
@@ -355,7 +339,7 @@ static void test_exact(dal_mechanics *mechanics, const dal_system *system, const
 static void test_choice(const choice *c)
 {
     dal_system *system = make(c);
-    dal_mechanics *mechanics = mechanics_of(system);
+    dal_mechanics *mechanics = open_mechanics(system);
     const size_t n = dal_system_n(system);
     CHECK(!strcmp(dal_system_name(system), c->name));
     CHECK(strlen(dal_system_help(system)) > 10 && !strchr(dal_system_help(system), '\n'));
@@ -380,8 +364,6 @@ static void test_choice(const choice *c)
             test_lagrangian(system, x);
         }
     }
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* States at t = 1 and t = 10 from the default data, from Taylor series with 45 and 60 digits. */
@@ -444,7 +426,7 @@ static void test_references(void)
     };
     for (size_t k = 0; k < sizeof reference / sizeof reference[0]; k++) {
         dal_system *system = plain(reference[k].name);
-        dal_mechanics *mechanics = mechanics_of(system);
+        dal_mechanics *mechanics = open_mechanics(system);
         const size_t n = dal_system_n(system), m = dal_system_m(system);
         double x[2 * MAX_N], E, lambda[MAX_M];
         const bool exact = system->def.exact != NULL;
@@ -465,8 +447,7 @@ static void test_references(void)
         CHECK_VECTOR(2 * n, x, reference[k].x10, tolerance);
         CHECK(dal_multipliers(mechanics, 0.0, x, lambda) == DAL_SUCCESS);
         CHECK_VECTOR(m, lambda, reference[k].lambda10, 10 * tolerance);
-        dal_mechanics_free(mechanics);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -581,7 +562,7 @@ static void test_limits(void)
         CHECK(dal_system_exact(system, limit[k].t, x, y) == DAL_SUCCESS);
         CHECK_VECTOR(n, y, limit[k].x, 2e-14);
         CHECK_VECTOR(n, y + n, limit[k].x + n, 2e-14);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -592,7 +573,6 @@ static void test_sleigh_domain(void)
     double x[6], y[6];
     CHECK(dal_system_state(system, x) == DAL_SUCCESS);
     CHECK(dal_system_exact(system, 1e9, x, y) == DAL_EDOMAIN);
-    dal_system_free(system);
 }
 
 /* Runs of literature and of other codes (DOP853, agreed to 3e-11): the state after steps steps of
@@ -608,7 +588,7 @@ typedef struct run {
 static void check_run(const run *r)
 {
     dal_system *system = make(&r->system);
-    dal_mechanics *mechanics = mechanics_of(system);
+    dal_mechanics *mechanics = open_mechanics(system);
     const size_t n = dal_system_n(system), m = dal_system_m(system);
     double x[14], lambda[MAX_M];
     memcpy(x, r->x0, sizeof x);
@@ -616,8 +596,6 @@ static void check_run(const run *r)
     CHECK_VECTOR(n, x, r->q, 2e-10);
     CHECK(dal_multipliers(mechanics, 0.0, x, lambda) == DAL_SUCCESS);
     if (m == 1 && !isnan(r->lambda)) CHECK_NEAR(lambda[0], r->lambda, 1e-7);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 static void test_runs(void)
@@ -669,35 +647,30 @@ static void test_runs(void)
 static void test_default_data(void)
 {
     dal_system *system = plain("contact_oscillator");
-    dal_mechanics *mechanics = mechanics_of(system);
+    dal_mechanics *mechanics = open_mechanics(system);
     double x[14], values[2], E, lambda;
     CHECK(dal_system_state(system, x) == DAL_SUCCESS);
     const double contact[6] = {1.224744871391589, 1, -0.70710678118654752, 0, 0, 0};
     CHECK_VECTOR(6, x, contact, 1e-15);
     CHECK(dal_multipliers(mechanics, 0.0, x, &lambda) == DAL_SUCCESS);
     CHECK_NEAR(lambda, 0.25881905, 5e-9);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 
     system = make(&(choice){"contact_oscillator", {"eps"}, {0.3}});
-    mechanics = mechanics_of(system);
+    mechanics = open_mechanics(system);
     CHECK(dal_system_state(system, x) == DAL_SUCCESS);
     CHECK(dal_energy(mechanics, 0.0, x, &E) == DAL_SUCCESS);
     CHECK(dal_system_invariant(system, 0.0, x, values) == DAL_SUCCESS);
     CHECK_NEAR(E, 1.5, 1e-15);
     CHECK_NEAR(values[0], 0.5, 1e-15);
     CHECK_NEAR(values[1], 1.0, 1e-15); /* radius = E - H_y on D */
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 
     system = make(&(choice){"robot", {"R"}, {2.0}});
     CHECK(dal_system_state(system, x) == DAL_SUCCESS);
     const double robot[8] = {0, 0, 0, 0, 2, 0, 0.5, 1};
     CHECK_VECTOR(8, x, robot, 0.0);
-    dal_system_free(system);
 
     system = plain("chaotic");
-    mechanics = mechanics_of(system);
+    mechanics = open_mechanics(system);
     CHECK(dal_system_state(system, x) == DAL_SUCCESS);
     const double chaotic[14] = {cos(pi / 9), 0.6, 0.4, 0.2, 1, 1, 1, 0, sin(pi / 9)};
     CHECK_VECTOR(14, x, chaotic, 1e-15);
@@ -708,8 +681,6 @@ static void test_default_data(void)
               0.429087770269, 0.675384314631}, NAN};
     memcpy(r.x0, x, sizeof x);
     check_run(&r);
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* Default data of the vehicles and the ball, which follow the parameters. */
@@ -734,7 +705,7 @@ static void test_data_with_parameters(void)
         CHECK(dal_system_n(system) == expected[k].n);
         CHECK(dal_system_state(system, x) == DAL_SUCCESS);
         CHECK_VECTOR(2 * expected[k].n, x, expected[k].x, 1e-15);
-        dal_system_free(system);
+        release(system);
     }
 }
 
@@ -742,15 +713,13 @@ static void test_data_with_parameters(void)
 static void test_heisenberg_symmetry(void)
 {
     dal_system *system = make(&(choice){"heisenberg", {"k1", "k2", "k3"}, {1.7, 1.7, 0.0}});
-    dal_mechanics *mechanics = mechanics_of(system);
+    dal_mechanics *mechanics = open_mechanics(system);
     for (unsigned seed = 1; seed < 5; seed++) {
         double x[6], lambda;
         some_state(mechanics, system, seed, x);
         CHECK(dal_multipliers(mechanics, 0.0, x, &lambda) == DAL_SUCCESS);
         CHECK_NEAR(lambda, 0.0, 1e-15);
     }
-    dal_mechanics_free(mechanics);
-    dal_system_free(system);
 }
 
 /* Names, sizes, parameters and first integrals as they are shown to users. */
@@ -819,19 +788,17 @@ static void test_description(void)
             CHECK_NEAR(values[i], expected[k].values[i], 1e-15);
         }
         CHECK(dal_system_invariant_name(system, i) == NULL);
-        dal_system_free(system);
+        release(system);
     }
 
     dal_system *system = make(&(choice){"chaotic", {"pairs"}, {2.0}});
     static const char *const names[5] = {"x", "y1", "y2", "z1", "z2"};
     CHECK(dal_system_n(system) == 5);
     for (size_t i = 0; i < 5; i++) CHECK(!strcmp(dal_system_coordinate(system, i), names[i]));
-    dal_system_free(system);
 
     system = make(&(choice){"n_trailer", {"trailers"}, {50.0}});
     CHECK(dal_system_n(system) == 53 && dal_system_m(system) == 51);
     CHECK(!strcmp(dal_system_coordinate(system, 52), "theta50"));
-    dal_system_free(system);
 }
 
 /* M of the systems with masses: {m, m, ...} in the order of the coordinates. */
@@ -855,7 +822,7 @@ static void test_mass(void)
             for (size_t j = 0; j < n; j++)
                 CHECK(mass_of(system)[i * n + j]
                       == (i == j ? expected[k].diagonal[i] : 0.0));
-        dal_system_free(system);
+        release(system);
     }
 
     static const double board[25] = {2, 0, 0,  0, 0, 0, 2, 0, 0, 0, 0, 0, 18,
@@ -863,7 +830,6 @@ static void test_mass(void)
     dal_system *system =
         make(&(choice){"snakeboard", {"m", "r", "J0", "J1"}, {2, 3, 4, 5}});
     CHECK(!memcmp(mass_of(system), board, sizeof board));
-    dal_system_free(system);
 }
 
 /* What is declared steady is so, and what is not declared is not: no coordinate, and some
@@ -899,7 +865,7 @@ static void test_steady(void)
         } else {
             CHECK(!def->steady);
         }
-        dal_system_free(system);
+        release(system);
     }
     CHECK(found == 15); /* of the choices */
 }

@@ -38,15 +38,6 @@ static int tilt(double t, const double *q, const double *v, double *g, double *g
     return 0;
 }
 
-static dal_system *deform(const dal_system *base, dal_deformation_fn g, void *ctx, double delta,
-                          dal_constraint_kind kind)
-{
-    dal_system *system = NULL;
-    dal_error error = {0};
-    need(dal_system_deform(&system, base, g, ctx, delta, kind, 0, &error), "deform", error.text);
-    return system;
-}
-
 /* The numbers of the group "deformed" of vectors.json, of 36 digits there; every one is a sum of a
  * few terms of size 1. */
 static void test_vectors(void)
@@ -62,7 +53,7 @@ static void test_vectors(void)
     dal_system *const base = open_system("particle");
     double one = 1.0;
     for (int k = 0; k < 2; k++) {
-        dal_system *const system = deform(base, product, &one, expected[k].delta, DAL_NONLINEAR);
+        dal_system *const system = open_deformed(base, product, &one, expected[k].delta, DAL_NONLINEAR, 0);
         dal_mechanics *const mech = open_mechanics(system);
         const double x[6] = {0.5, 0.3, -0.2, 1.0, 0.7, expected[k].v_z};
         double C, lambda = NAN, vdot[3], residual, power[2];
@@ -75,10 +66,8 @@ static void test_vectors(void)
         /* the constraint forces work: dE/dt = lambda delta v_x v_y */
         CHECK(dal_power(mech, 0.0, x, power, power + 1) == 0 && power[1] == 0.0);
         CHECK_NEAR(power[0], expected[k].lambda * expected[k].delta * 0.7, 8 * U);
-        dal_mechanics_free(mech);
-        dal_system_free(system);
+        release(system);
     }
-    dal_system_free(base);
 }
 
 /* A random state of D, or of what D is deformed to. */
@@ -123,15 +112,14 @@ static void test_derivatives(const dal_system *system)
             for (size_t a = 0; a < m; a++) CHECK_NEAR(given[a * n + j % n], slope[a], 1e-10);
         }
     }
-    dal_mechanics_free(mech);
 }
 
 /* delta = 0 changes nothing; a deformation that is linear in v makes a linear system of its own. */
 static void test_linear(void)
 {
     dal_system *const base = open_system("particle_oscillator");
-    dal_system *const same = deform(base, tilt, NULL, 0.0, DAL_LINEAR);
-    dal_system *const tilted = deform(base, tilt, NULL, 0.3, DAL_LINEAR);
+    dal_system *const same = open_deformed(base, tilt, NULL, 0.0, DAL_LINEAR, 0);
+    dal_system *const tilted = open_deformed(base, tilt, NULL, 0.3, DAL_LINEAR, 0);
     dal_mechanics *const plain = open_mechanics(base), *const mech = open_mechanics(same);
     unsigned seed = 1;
     CHECK(strcmp(dal_system_name(same), "particle_oscillator_deformed") == 0);
@@ -160,13 +148,6 @@ static void test_linear(void)
     CHECK(dal_energy(slant, 0.0, dal_stepper_state(stepper), &E) == 0);
     CHECK_NEAR(E, E0, 1e-3);
     CHECK(residual_of(tilted, 0.0, dal_stepper_state(stepper)) <= DAL_RESIDUAL_BOUND(3));
-    dal_stepper_free(stepper);
-    dal_mechanics_free(slant);
-    dal_mechanics_free(plain);
-    dal_mechanics_free(mech);
-    dal_system_free(tilted);
-    dal_system_free(same);
-    dal_system_free(base);
 }
 
 /* The flow on D_delta stays there by itself, and its energy changes by the power of the
@@ -175,14 +156,13 @@ static void test_flow(void)
 {
     dal_system *const base = open_system("particle_oscillator");
     double two = 2.0;
-    dal_system *const system = deform(base, product, &two, 0.15, DAL_NONLINEAR);
+    dal_system *const system = open_deformed(base, product, &two, 0.15, DAL_NONLINEAR, 0);
     dal_mechanics *const mech = open_mechanics(system);
-    dal_flow *flow = NULL;
     double x[6], E[5], power, residual;
     const double d = 1e-2;
     unsigned seed = 11;
     test_derivatives(system);
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
+    dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13);
     random_state(mech, 3, &seed, x);
     for (int k = -2; k <= 2; k++) {
         double y[6];
@@ -194,10 +174,6 @@ static void test_flow(void)
     }
     CHECK(dal_power(mech, 0.0, x, &power, NULL) == 0 && fabs(power) > 1e-4);
     CHECK_NEAR(power, (8 * (E[3] - E[1]) - (E[4] - E[0])) / (12 * d), 1e-8);
-    dal_flow_free(flow);
-    dal_mechanics_free(mech);
-    dal_system_free(system);
-    dal_system_free(base);
 }
 
 /* The states of a run with kept nodes satisfy the constraint of dal_system_deform_nodes, which is
@@ -214,8 +190,7 @@ static void test_kept_nodes(const char *name)
     for (size_t s = 0; s < sizeof kept / sizeof *kept; s++) {
         double shift;
         CHECK(dal_scheme_shift(&kept[s], &shift) == 0);
-        dal_system *system = NULL;
-        CHECK(dal_system_deform_nodes(&system, base, shift * h, NULL) == 0);
+        dal_system *const system = open_deformed_nodes(base, shift * h);
         CHECK(dal_system_kind(system) == DAL_NONLINEAR);
         test_derivatives(system);
         dal_mechanics *const mech = open_mechanics(system), *const plain = open_mechanics(base);
@@ -235,21 +210,16 @@ static void test_kept_nodes(const char *name)
         }
         if (strcmp(name, "particle") == 0 && s == 0) {
             double one = 1.0;
-            dal_system *const same = deform(base, product, &one, h / 2, DAL_NONLINEAR);
+            dal_system *const same = open_deformed(base, product, &one, h / 2, DAL_NONLINEAR, 0);
             dal_mechanics *const other = open_mechanics(same);
             double a[6], b[6];
             CHECK(dal_field(mech, 0.0, dal_stepper_state(stepper), a) == 0);
             CHECK(dal_field(other, 0.0, dal_stepper_state(stepper), b) == 0);
             CHECK_NEAR(largest_difference(6, a, b), 0.0, 64 * U);
-            dal_mechanics_free(other);
-            dal_system_free(same);
+            release(same);
         }
-        dal_stepper_free(stepper);
-        dal_mechanics_free(mech);
-        dal_mechanics_free(plain);
-        dal_system_free(system);
+        release(system);
     }
-    dal_system_free(base);
 }
 
 /* A deformed general Lagrangian, affine base, and a base that differences phi_q. */
@@ -300,9 +270,9 @@ static void test_general_base(void)
     dal_system *base = NULL, *system = NULL, *again = NULL;
     double factor = 0.5;
     dal_error error;
-    CHECK(dal_system_new(&base, &def, NULL) == 0);
-    system = deform(base, product, &factor, 0.2, DAL_NONLINEAR);
-    again = deform(system, product, &factor, -0.2, DAL_NONLINEAR); /* back to the base */
+    base = new_system(&def);
+    system = open_deformed(base, product, &factor, 0.2, DAL_NONLINEAR, 0);
+    again = open_deformed(system, product, &factor, -0.2, DAL_NONLINEAR, 0); /* back to the base */
     CHECK(dal_system_is_forced(system) && mass_of(system) == NULL);
     test_derivatives(system);
     dal_mechanics *const mech = open_mechanics(base), *const twice = open_mechanics(again);
@@ -314,11 +284,7 @@ static void test_general_base(void)
     CHECK_NEAR(power, -0.1 * dal__dot(3, x + 3, x + 3), 8 * U);
     CHECK(dal_system_deform(&again, base, tilt, NULL, 0.1, DAL_LINEAR, 0, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "kind = 0") != NULL);
-    dal_mechanics_free(mech);
-    dal_mechanics_free(twice);
     dal_system_free(again);
-    dal_system_free(system);
-    dal_system_free(base);
 }
 
 /* A base or a deformation that fails, fails the deformed system. */
@@ -343,7 +309,7 @@ static void test_failures(void)
     const dal_system_def no_forms = {.n = 1, .mass = mass};
     dal_error error;
     double one = 1.0;
-    CHECK(dal_system_new(&free_body, &no_forms, NULL) == 0);
+    free_body = new_system(&no_forms);
 #define REFUSED(call, expected, name)                                       \
     CHECK((call) == (expected) && system == NULL && strstr(error.text, name) != NULL)
     REFUSED(dal_system_deform(NULL, base, product, &one, 0.1, DAL_NONLINEAR, 0, &error), DAL_EINVAL,
@@ -368,8 +334,7 @@ static void test_failures(void)
         for (size_t i = 0; i < n; i++) many[i * n + i] = 1.0;
         const dal_system_def def = {.n = n, .m = n - 1, .mass = many, .constraint = no_constraint,
                                     .missing = DAL_MISSING_PHI_Q};
-        dal_system *large = NULL;
-        CHECK(dal_system_new(&large, &def, NULL) == 0);
+        dal_system *const large = new_system(&def);
         if (n == 63) {
             CHECK(dal_system_deform(&system, large, product, &one, 0.1, DAL_LINEAR, 0, NULL) == 0);
             CHECK(dal_system_missing(system) == DAL_MISSING_PHI_Q); /* that of the base */
@@ -379,7 +344,7 @@ static void test_failures(void)
             REFUSED(dal_system_deform(&system, large, product, &one, 0.1, DAL_LINEAR, 0, &error),
                     DAL_EUNSUPPORTED, "m n = 63 * 64");
         }
-        dal_system_free(large);
+        release(large);
     }
 #undef REFUSED
     static const int answers[3] = {1, -1, 0}; /* 0: and nothing is written */
@@ -387,28 +352,24 @@ static void test_failures(void)
         int answer = answers[k];
         const double x[6] = {0.5, 0.3, -0.2, 1.0, 0.7, 0.3};
         double out[6] = {7, 7, 7, 7, 7, 7};
-        CHECK(dal_system_deform(&system, base, failing, &answer, 0.1, DAL_NONLINEAR, 0, NULL) == 0);
+        system = open_deformed(base, failing, &answer, 0.1, DAL_NONLINEAR, 0);
         dal_mechanics *const mech = open_mechanics(system);
         CHECK(dal_field(mech, 0.0, x, out) == (k == 1 ? DAL_EUSER : DAL_EDOMAIN) && out[0] == 7.0);
         CHECK(strstr(dal_mechanics_error(mech)->text,
                      k < 2 ? "constraint returned" : "did not set it") != NULL);
-        dal_mechanics_free(mech);
-        dal_system_free(system);
+        release(system);
         system = NULL;
     }
-    dal_system_free(free_body);
-    dal_system_free(base);
 }
 
 /* Without g_q the deformed phi_q is differenced as a whole; D_eps needs the phi_q of the base. */
 static void test_missing(void)
 {
     dal_system *const base = open_system("particle");
-    dal_system *system = NULL, *exact = NULL, *nodes = NULL;
+    dal_system *nodes = NULL;
     dal_error error;
-    CHECK(dal_system_deform(&system, base, tilt, NULL, 0.3, DAL_LINEAR, DAL_MISSING_PHI_Q, NULL)
-          == 0);
-    exact = deform(base, tilt, NULL, 0.3, DAL_LINEAR);
+    dal_system *const system = open_deformed(base, tilt, NULL, 0.3, DAL_LINEAR, DAL_MISSING_PHI_Q);
+    dal_system *const exact = open_deformed(base, tilt, NULL, 0.3, DAL_LINEAR, 0);
     dal_mechanics *const mech = open_mechanics(system), *const given = open_mechanics(exact);
     const double x[6] = {0.5, 0.3, -0.2, 1.0, 0.7, 0.3};
     double a[6], b[6];
@@ -416,11 +377,6 @@ static void test_missing(void)
     CHECK_NEAR(largest_difference(6, a, b), 0.0, 1e-11);
     CHECK(dal_system_deform_nodes(&nodes, system, 0.1, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "phi_q") != NULL && nodes == NULL);
-    dal_mechanics_free(mech);
-    dal_mechanics_free(given);
-    dal_system_free(exact);
-    dal_system_free(system);
-    dal_system_free(base);
 }
 
 int main(void)

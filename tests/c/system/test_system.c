@@ -162,8 +162,7 @@ static void test_copies(void)
     def.exact = exact2;
     def.missing = DAL_MISSING_V_QQ;
     def.force = force2;
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
+    dal_system *system = new_system(&def);
     mass[0] = state[0] = 7.0;
     name[0] = help[0] = first[0] = second[0] = integral[0] = '!';
     description[0] = source[0] = formulas[0] = '!';
@@ -195,12 +194,11 @@ static void test_copies(void)
     CHECK(dal_system_exact(system, NAN, x, x) == DAL_EINVAL);
     x[0] = 101.0;
     CHECK(dal_system_invariant(system, 0.0, x, &value) == DAL_EDOMAIN);
-    dal_system_free(system);
 
     /* What is left out. */
     const double diagonal[9] = {4, 0, 0, 0, 0.5, 0, 0, 0, 8};
     const dal_system_def bare = {.n = 3, .mass = diagonal};
-    CHECK(dal_system_new(&system, &bare, NULL) == DAL_SUCCESS);
+    system = new_system(&bare);
     CHECK(strcmp(dal_system_name(system), "system") == 0 && dal_system_help(system)[0] == '\0');
     CHECK(dal_system_description(system)[0] == '\0' && dal_system_source(system)[0] == '\0');
     CHECK(dal_system_formulas(system)[0] == '\0');
@@ -211,7 +209,6 @@ static void test_copies(void)
     CHECK(dal_system_state(NULL, x) == DAL_EINVAL && dal_system_state(system, NULL) == DAL_EINVAL);
     CHECK(system->diagonal && system->mass_inverse[0] == 0.25 && system->mass_inverse[4] == 2.0);
     CHECK(system->mass_inverse[8] == 0.125 && system->mass_inverse[1] == 0.0);
-    dal_system_free(system);
 }
 
 /* M M^-1 = 1 to n u times the condition, below 100; M^-1 is symmetric to the bit. */
@@ -228,7 +225,6 @@ static void test_inverse(void)
             CHECK_NEAR(sum, i == j ? 1.0 : 0.0, 12 * U * 100);
             CHECK(system->mass_inverse[i * 12 + j] == system->mass_inverse[j * 12 + i]);
         }
-    dal_system_free(system);
 }
 
 /* ---- the evaluator ------------------------------------------------------------------------ */
@@ -286,8 +282,7 @@ static void check_differences(const char *name, unsigned missing)
     def.missing = missing;
     def.exact = NULL;
     def.invariants = 0;
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
+    dal_system *system = new_system(&def);
     const size_t n = def.n, m = def.m;
     workplace exact, w;
     open_evaluator(&exact, base);
@@ -325,8 +320,6 @@ static void check_differences(const char *name, unsigned missing)
     CHECK(w.eval.constraint_calls == l.constraint_calls && l.constraint_calls >= 20);
     dal__release(&exact.arena);
     dal__release(&w.arena);
-    dal_system_free(system);
-    dal_system_free(base);
 }
 
 static void test_differences(void)
@@ -377,8 +370,7 @@ static void test_faults(void)
     fault f = {0, 99, 0.0};
     const dal_system_def def = {.n = 3, .m = 2, .mass = mass, .potential = faulty_potential,
                                 .constraint = faulty_constraint, .ctx = &f};
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
+    dal_system *system = new_system(&def);
     workplace w;
     open_evaluator(&w, system);
     dal_error error = {0};
@@ -409,11 +401,10 @@ static void test_faults(void)
     CHECK(dal__potential(&w.eval, 0.0, q, NULL, V_q, NULL, &error) == DAL_EUSER);
     CHECK(strstr(error.text, "potential returned -4") != NULL);
     dal__release(&w.arena);
-    dal_system_free(system);
 
     /* No potential is V = 0. */
     const dal_system_def none = {.n = 3, .mass = mass};
-    CHECK(dal_system_new(&system, &none, NULL) == DAL_SUCCESS);
+    system = new_system(&none);
     open_evaluator(&w, system);
     double V = 1.0;
     CHECK(dal__potential(&w.eval, 0.0, q, &V, V_q, V_qq, &error) == DAL_SUCCESS);
@@ -421,7 +412,6 @@ static void test_faults(void)
     CHECK(dal__constraint(&w.eval, 0.0, q, v, NULL, NULL, NULL, NULL, &error) == DAL_SUCCESS);
     CHECK(w.eval.potential_calls == 0 && w.eval.constraint_calls == 0);
     dal__release(&w.arena);
-    dal_system_free(system);
 }
 
 int main(void)
