@@ -1,8 +1,8 @@
 /* fixtures.h - what several C tests need: systems, schemes and steppers by name, a few systems that
  * are not built in, and a sequence of numbers.  Whatever cannot be made ends the program.
  *
- * The functions whose names begin with open_, new_ or start_ return objects that nobody has to free:
- * they are freed when the program ends, the newest first.  Loops over many give them back by
+ * The functions whose names begin with open_, new_ or start_ return objects that nobody has to
+ * free: they are freed when the program ends, the newest first.  Loops over many give them back by
  * release(). */
 #ifndef DALEMBERT_TESTS_FIXTURES_H
 #define DALEMBERT_TESTS_FIXTURES_H
@@ -243,11 +243,52 @@ static inline dal_stepper *start_named(const dal_system *system, const char *sch
     return start_stepper(system, &scheme, h, x);
 }
 
+/* At x, or where the system starts if that is NULL; kept nodes at what belongs to it. */
+static inline dal_stepper *start_at(const dal_system *system, const char *scheme_name, double t0,
+                                    double h, const double *x)
+{
+    enum { MOST_2N = 96 };
+    const dal_scheme scheme = find_scheme(scheme_name);
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    double state[MOST_2N];
+    if (!x) need(dal_system_state(system, state), "state", scheme_name);
+    need(dal_stepper_start(stepper, t0, h, x ? x : state, DAL_CHECK,
+                           scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE),
+         scheme_name, dal_stepper_error(stepper)->text);
+    return stepper;
+}
+
+static inline dal_stats stats_of(const dal_stepper *stepper)
+{
+    dal_stats stats;
+    dal_stepper_stats(stepper, &stats);
+    return stats;
+}
+
+/* The library must never provoke it. */
+static inline void abort_on_gsl_error(const char *reason, const char *file, int line, int number)
+{
+    fprintf(stderr, "%s:%d: GSL's handler was called: %s (%d)\n", file, line, reason, number);
+    abort();
+}
+
 /* The next of a fixed sequence of numbers in [-1, 1]. */
 static inline double next_number(unsigned *seed)
 {
     *seed = *seed * 1664525u + 1013904223u;
     return (double)*seed / 2147483648.0 - 1.0;
+}
+
+/* The default state of a system, moved a little and projected onto D. */
+static inline void moved_state(const dal_system *system, double *x)
+{
+    unsigned seed = 7;
+    need(dal_system_state(system, x), "state", "");
+    for (size_t i = 0; i < 2 * dal_system_n(system); i++) x[i] += 0.2 * next_number(&seed);
+    dal_mechanics *const mechanics = open_mechanics(system);
+    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project",
+         dal_mechanics_error(mechanics)->text);
+    release(mechanics);
 }
 
 static inline double sum_of_sizes(size_t count, const double *x)
@@ -334,6 +375,70 @@ static inline double residual_of(const dal_system *system, double shift, const d
         if (!(fabs(sum) <= worst * size)) worst = fabs(sum) / size;
     }
     return worst;
+}
+
+/* ---- callbacks of a few lines ------------------------------------------------------------- */
+
+/* A force that is zero makes a system a general one, whose steps are those of momentum.h. */
+static inline int zero_force(size_t n, double *f, double *f_q, double *f_v)
+{
+    if (f) memset(f, 0, n * sizeof *f);
+    if (f_q) memset(f_q, 0, n * n * sizeof *f_q);
+    if (f_v) memset(f_v, 0, n * n * sizeof *f_v);
+    return 0;
+}
+
+#define FORCE_ARGUMENTS                                                                        \
+    double t, const double *q, const double *v, const double *u, double *f, double *f_q,       \
+        double *f_v, void *ctx
+
+static inline int no_force_1(FORCE_ARGUMENTS) { return zero_force(1, f, f_q, f_v); }
+static inline int no_force_2(FORCE_ARGUMENTS) { return zero_force(2, f, f_q, f_v); }
+static inline int no_force(FORCE_ARGUMENTS) { return zero_force(3, f, f_q, f_v); }
+
+/* These are given and never called. */
+static inline int never_force(FORCE_ARGUMENTS) { return -1; }
+
+static inline int never_constraint(double t, const double *q, const double *v, double *phi,
+                                   double *phi_v, double *phi_q, double *phi_t, void *ctx)
+{
+    return -1;
+}
+
+static inline int never_lagrangian(double t, const double *q, const double *v, double *L,
+                                   double *L_q, double *L_v, double *L_qq, double *L_vq,
+                                   double *L_vv, double *L_vt, void *ctx)
+{
+    return -1;
+}
+
+/* V = k q^2/2; k is the ctx. */
+static inline int spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const double k = *(const double *)ctx;
+    if (V) *V = k * q[0] * q[0] / 2;
+    if (V_q) *V_q = k * q[0];
+    if (V_qq) *V_qq = k;
+    return 0;
+}
+
+static inline int pendulum(double t, const double *q, double *V, double *V_q, double *V_qq,
+                           void *ctx)
+{
+    if (V) *V = -cos(q[0]);
+    if (V_q) *V_q = sin(q[0]);
+    if (V_qq) *V_qq = cos(q[0]);
+    return 0;
+}
+
+/* g = v_x v_y, in three dimensions. */
+static inline int product(double t, const double *q, const double *v, double *g, double *g_v,
+                          double *g_q, double *g_t, void *ctx)
+{
+    if (g) g[0] = v[0] * v[1];
+    if (g_v) memcpy(g_v, (double[]){v[1], v[0], 0.0}, 3 * sizeof *g_v);
+    if (g_q) memset(g_q, 0, 3 * sizeof *g_q);
+    return 0;
 }
 
 /* ---- wide: a system of any size without symmetry ------------------------------------------

@@ -13,13 +13,6 @@
 
 enum { MOST = 8, MOST_FORMS = 2, STEPS = 4, STATE_BYTES = MOST * sizeof(double) };
 
-/* The library must never provoke it. */
-static void abort_on_gsl_error(const char *reason, const char *file, int line, int number)
-{
-    fprintf(stderr, "%s:%d: GSL's handler was called: %s (%d)\n", file, line, reason, number);
-    abort();
-}
-
 static bool has_number(const char *text)
 {
     while (*text && !isdigit((unsigned char)*text)) text++;
@@ -363,14 +356,13 @@ static void test_disturbed_stride(void)
     for (size_t k = 0; k < b.calls[CONSTRAINT]; k++) {
         double rows[3 * MOST], reactions[2 * MOST_FORMS];
         size_t done = 99;
-        dal_stats stats;
         plan_fault(&b.f, CONSTRAINT, STOP, SIZE_MAX, SIZE_MAX);
         CHECK(start(&b) == 0);
         b.f.from = b.f.call + k;
         fill(3 * MOST, rows, UNTOUCHED);
         fill(2 * MOST_FORMS, reactions, UNTOUCHED);
         if (dal_integrate(b.stepper, STEPS, 2, rows, reactions, NULL, NULL, &done) == 0) break;
-        dal_stepper_stats(b.stepper, &stats);
+        const dal_stats stats = stats_of(b.stepper);
         between += stats.steps % 2;
         CHECK(done == stats.steps - stats.steps % 2);
         check_state(&b, dal_stepper_state(b.stepper), stats.steps);
@@ -942,29 +934,19 @@ static int logarithmic_potential(double t, const double *q, double *V_, double *
 
 /* Midpoint with h = 2 from q = 1, v = 2: q' + 10 ln q' = 5.  From q' = 5 Newton's first step leads
  * to 5 - 10 ln(5)/3 < 0, where there is no V: half of it does not. */
-static int no_force(double t, const double *q, const double *v, const double *u, double *f,
-                    double *f_q, double *f_v, void *ctx)
-{
-    (void)t, (void)q, (void)v, (void)ctx;
-    if (f) *f = 0.0;
-    if (f_q) *f_q = 0.0;
-    if (f_v) *f_v = 0.0;
-    return 0;
-}
-
 static void test_halving(void)
 {
     const double mass = 1.0, x0[2] = {1.0, 2.0};
     dal_system_def def = {.n = 1, .mass = &mass, .potential = logarithmic_potential};
     const dal_scheme midpoint = {.beta = 0.5};
     for (size_t i = 0; i < 3; i++) {
-        def.force = i == 2 ? no_force : NULL;
-        dal_stats stats;
+        def.force = i == 2 ? no_force_1 : NULL;
         dal_system *const system = new_system(&def);
-        dal_stepper *const stepper = open_stepper_by(i == 1 ? BY_ANY_SIZES : BY_LIBRARY, system, &midpoint);
+        dal_stepper *const stepper = open_stepper_by(i == 1 ? BY_ANY_SIZES : BY_LIBRARY, system,
+                                                     &midpoint);
         CHECK(dal_stepper_start(stepper, 0.0, 2.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_step(stepper, NULL) == 0);
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stats.halvings == 1 && stats.full_newtons == 1);
         const double *const x = dal_stepper_state(stepper);
         CHECK_NEAR(x[0] + 10.0 * log(x[0]), 5.0, 64 * DBL_EPSILON); /* of terms up to 5 */
@@ -1066,7 +1048,8 @@ static void test_extreme_numbers(void)
 
             dal_scheme scheme;
             CHECK(dal_scheme_find(&scheme, schemes[trial % SCHEMES], NULL) == 0);
-            dal_stepper *const stepper = open_stepper_by((way)(trial / SCHEMES % WAYS), system, &scheme);
+            dal_stepper *const stepper = open_stepper_by((way)(trial / SCHEMES % WAYS), system,
+                                                         &scheme);
             const bool kept = scheme.nodes == DAL_KEPT_NODES;
             const dal_initial initial = kept ? (dal_initial)(1 + trial % 4) : DAL_INITIAL_NONE;
             status = dal_stepper_start(stepper, 0.0, NEXT, x0, (dal_consistency)(trial % 2 + 1),

@@ -108,12 +108,7 @@ static int potential(double t, const double *q, double *V, double *V_q, double *
 static int no_push(double t, const double *q, const double *v, const double *u, double *f,
                    double *f_q, double *f_v, void *ctx)
 {
-    const size_t n = ((const drawn *)ctx)->n;
-    (void)t, (void)q, (void)v;
-    if (f) memset(f, 0, n * sizeof *f);
-    if (f_q) memset(f_q, 0, n * n * sizeof *f_q);
-    if (f_v) memset(f_v, 0, n * n * sizeof *f_v);
-    return 0;
+    return zero_force(((const drawn *)ctx)->n, f, f_q, f_v);
 }
 
 typedef struct draw {
@@ -335,8 +330,7 @@ typedef struct tally {
 
 static void add_stats(dal_stepper *stepper, dal_stats *sum)
 {
-    dal_stats stats;
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     sum->steps += stats.steps;
     sum->constraint_calls += stats.constraint_calls;
     sum->potential_calls += stats.potential_calls;
@@ -358,8 +352,7 @@ static dal_stepper *start_drawn(drawn *s, const draw *d, const double *x, dal_sy
     dal_stepper *const stepper = open_stepper(*system, &scheme, NULL);
     if (!dal_stepper_start(stepper, 0.0, d->h, x, DAL_PROJECT,
                            d->kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE)) {
-        dal_stats stats;
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         s->constraint_calls = stats.constraint_calls;
         s->potential_calls = stats.potential_calls;
         return stepper;
@@ -393,8 +386,7 @@ static void run(const draw *d, unsigned seed, tally *count)
         const size_t calls[2] = {s.constraint_calls, s.potential_calls};
         const double residual = residual_of(system, d->kept ? (1.0 - d->beta) * d->h : 0.0, y);
         most = fmax(most, residual);
-        dal_stats stats;
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stats.constraint_calls == calls[0] && stats.potential_calls == calls[1]);
         s.constraint_calls = calls[0]; /* those of residual_of are not the stepper's */
         count->above += residual > DAL_RESIDUAL_BOUND(s.n);
@@ -563,16 +555,6 @@ static void test_units(unsigned systems)
 
 /* ---- how long the Hessian is left out ------------------------------------------------------ */
 
-/* V = k q^2/2; k is the ctx. */
-static int spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
-{
-    const double k = *(const double *)ctx;
-    if (V) *V = k * q[0] * q[0] / 2;
-    if (V_q) *V_q = k * q[0];
-    if (V_qq) *V_qq = k;
-    return 0;
-}
-
 /* V = -5 q, and a soft wall: 10 q^2/2 more where q > 0. */
 static int wall(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
@@ -669,10 +651,9 @@ static void test_corrections(void)
         const double c = contraction[j];
         double k = 4.0 * c;
         dal_system *system = NULL;
-        dal_stats stats;
         dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x, &system);
         CHECK(dal_step(stepper, NULL) == 0);
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stats.full_newtons == (j > 0));
         CHECK(j == 1 ? stats.iterations > 10 : stats.iterations <= 9);
         CHECK_NEAR(dal_stepper_state(stepper)[1], (0.5 * (1.0 - c) - k) / (1.0 + c), 8 * U);
@@ -687,10 +668,9 @@ static void test_stop(void)
         double k = 4.0 * c;
         const double x[2] = {1.0, k / (1.0 - c)};
         dal_system *system = NULL;
-        dal_stats stats;
         dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x, &system);
         CHECK(dal_step(stepper, NULL) == 0);
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stats.full_newtons == 0);
         CHECK_NEAR(dal_stepper_state(stepper)[1], 0.0, 4 * U * k);
         release(system);
@@ -834,14 +814,6 @@ static void test_too_few_iterations(void)
     }
 }
 
-static int pendulum(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
-{
-    if (V) *V = -cos(q[0]);
-    if (V_q) *V_q = sin(q[0]);
-    if (V_qq) *V_qq = cos(q[0]);
-    return 0;
-}
-
 /* Steps that are far too large for a pendulum.  Newton's lead away: the first of them is told, F/K
  * at v' = v, and how far they went. */
 static void test_led_away(void)
@@ -863,16 +835,6 @@ static void test_led_away(void)
 }
 
 /* ---- the branch that small h lead to -------------------------------------------------------- */
-
-static int no_force(double t, const double *q, const double *v, const double *u, double *f,
-                    double *f_q, double *f_v, void *ctx)
-{
-    (void)t, (void)q, (void)v, (void)ctx;
-    if (f) memset(f, 0, 3 * sizeof *f);
-    if (f_q) memset(f_q, 0, 9 * sizeof *f_q);
-    if (f_v) memset(f_v, 0, 9 * sizeof *f_v);
-    return 0;
-}
 
 /* The particle at y = -1 by the endpoint scheme: S = 1 + y y' with y' = y + h v_y passes through 0
  * at h v_y = 2.  Beyond it there is a solution, which grows out of no small step; with a force the
@@ -911,7 +873,6 @@ static void test_pairs(void)
     for (size_t j = 0; j < 4; j++) {
         const double h = steps[j / 2], x[6] = {0.3, -0.7, 0.2, 0.5, 2.0, -0.35};
         dal_stepper *const other = open_stepper(pushed, &schemes[j % 2], NULL);
-        dal_stats stats;
         dal_stepper *const one = start_stepper(system, &schemes[j % 2], h, x);
         CHECK(dal_stepper_start(other, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         for (int k = 0; k < 5; k++) {
@@ -921,7 +882,7 @@ static void test_pairs(void)
                 CHECK_NEAR(dal_stepper_state(one)[i], dal_stepper_state(other)[i], 1e-12);
             CHECK_NEAR(a[0], b[0], 1e-11);
         }
-        dal_stepper_stats(one, &stats);
+        const dal_stats stats = stats_of(one);
         full += stats.full_newtons;
         release(other);
     }
@@ -964,10 +925,9 @@ static void test_there_and_back(void)
     const dal_scheme scheme = {.name = "there and back", .substeps = there_and_back, .count = 3};
     const double x[6] = {0.3, -0.7, 0.2, 0.5, 2.0, -0.35};
     dal_system *const system = open_system("particle_oscillator");
-    dal_stats stats;
     dal_stepper *const stepper = start_stepper(system, &scheme, 0.05, x);
     CHECK(dal_advance(stepper, 10, NULL, NULL) == 0);
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     CHECK(stats.full_newtons == 0);
 }
 
@@ -1069,12 +1029,11 @@ static void test_held(void)
             const dal_system_def def = {.n = HELD_N, .m = HELD_M, .mass = mass, .ctx = &k,
                                         .potential = held_potential, .constraint = held_constraint};
             const dal_scheme scheme = {.name = "held", .beta = betas[j]};
-            dal_stats stats;
             dal_system *const system = new_system(&def);
             dal_stepper *const stepper = start_stepper(system, &scheme, 1.0, x);
             CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
             const double *const y = dal_stepper_state(stepper);
-            dal_stepper_stats(stepper, &stats);
+            const dal_stats stats = stats_of(stepper);
             CHECK_NEAR(dal__largest(HELD_N, y + HELD_N), 0.0, 16 * U * STEPS);
             CHECK_NEAR(dal__largest(HELD_N, y), 0.0, 16 * U * STEPS * STEPS);
             CHECK(stats.worst_residual <= DAL_RESIDUAL_BOUND(HELD_N));
@@ -1082,16 +1041,6 @@ static void test_held(void)
             CHECK(stiff || (stats.iterations <= STEPS + 2 && stats.corrections == 0));
             release(system);
         }
-}
-
-static int no_push_on_one(double t, const double *q, const double *v, const double *u, double *f,
-                          double *f_q, double *f_v, void *ctx)
-{
-    (void)t, (void)q, (void)v, (void)ctx;
-    if (f) *f = 0.0;
-    if (f_q) *f_q = 0.0;
-    if (f_v) *f_v = 0.0;
-    return 0;
 }
 
 /* A midpoint step from the top of a hill, V = -4 c q^2/2: K = 1 - c passes through 0. */
@@ -1102,7 +1051,7 @@ static void test_hill(void)
         const bool beyond = j % 2 == 1;
         double k = -4.0 * c[j % 2];
         const dal_system_def def = {.n = 1, .mass = mass, .potential = spring, .ctx = &k,
-                                    .force = j < 2 ? NULL : no_push_on_one};
+                                    .force = j < 2 ? NULL : no_force_1};
         dal_system *const system = new_system(&def);
         dal_stepper *const stepper = start_named(system, "midpoint", 1.0, x);
         CHECK(dal_step(stepper, NULL) == (beyond ? DAL_ENOCONV : DAL_SUCCESS));

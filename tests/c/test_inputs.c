@@ -43,16 +43,6 @@ static dal_system *open_cart(const double *wrong)
     return new_system(&def);
 }
 
-static dal_stepper *started(const dal_system *system, const char *scheme, double h)
-{
-    const dal_scheme record = find_scheme(scheme);
-    dal_stepper *const stepper = open_stepper(system, &record, NULL);
-    need(dal_stepper_start(stepper, 0.0, h, start, DAL_CHECK,
-                           record.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE),
-         scheme, dal_stepper_error(stepper)->text);
-    return stepper;
-}
-
 /* ---- the solution, by its own equations ---------------------------------------------------- */
 
 /* d/dt of (x, y, theta, s, omega, work of the motors and the brake). */
@@ -102,7 +92,7 @@ static double error_of(const dal_system *system, const char *scheme, double T, s
 {
     double inputs[HOLDS * INPUTS], x[6], work, energy[2], row[12];
     dal_mechanics *const mechanics = open_mechanics(system);
-    dal_stepper *const stepper = started(system, scheme, T / (double)hold);
+    dal_stepper *const stepper = start_at(system, scheme, 0.0, T / (double)hold, start);
     memcpy(inputs, table, sizeof inputs);
     dal_run run = {.stepper = stepper, .steps = HOLDS * hold, .stride = HOLDS * hold, .x = row,
                    .inputs = inputs, .hold = hold};
@@ -173,7 +163,7 @@ static void check_ways(const dal_system *system, const char *scheme, size_t stri
     controller self = {.hold = hold, .moved = strstr(scheme, "-nodes") ? 0.05 : 4 * U};
     const size_t budgets[] = {SIZE_MAX, 1, 5};
     for (size_t way = 0; way < 3; way++) {
-        dal_stepper *const stepper = started(system, scheme, 0.05);
+        dal_stepper *const stepper = start_at(system, scheme, 0.0, 0.05, start);
         dal_run run = {.stepper = stepper, .steps = STEPS, .stride = stride, .x = rows[way],
                        .reactions = reactions[way], .inputs = way ? written : inputs,
                        .hold = hold == 1 ? 0 : hold, .control = way ? control : NULL,
@@ -184,7 +174,7 @@ static void check_ways(const dal_system *system, const char *scheme, size_t stri
         CHECK(!way || memcmp(written, inputs, holds * INPUTS * sizeof *inputs) == 0);
         release(stepper);
     }
-    dal_stepper *const stepper = started(system, scheme, 0.05);
+    dal_stepper *const stepper = start_at(system, scheme, 0.0, 0.05, start);
     memcpy(rows[3], start, sizeof start);
     if (dal_stepper_state(stepper)[0] != start[0])
         memcpy(rows[3], dal_stepper_state(stepper), sizeof start);
@@ -293,7 +283,7 @@ static void test_own_maps(const dal_system *system)
     dal_scheme own = find_scheme("pair:0.5:0.5");
     own.data = &maps;
     dal_stepper *const steppers[] = {open_stepper(system, &own, NULL),
-                                     started(system, "pair:0.5:0.5", 0.05)};
+                                     start_at(system, "pair:0.5:0.5", 0.0, 0.05, start)};
     CHECK(dal_stepper_start(steppers[0], 0.0, 0.05, start, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     for (size_t k = 0; k < HOLDS; k++) {
         double reactions[2];
@@ -350,13 +340,14 @@ static void test_failures(const dal_system *system)
 {
     const double bad[INPUTS] = {0.0, 1.0, INFINITY};
     double inputs[STEPS * INPUTS], row[12], before[6];
-    dal_stepper *const stepper = started(system, "midpoint", 0.05);
+    dal_stepper *const stepper = start_at(system, "midpoint", 0.0, 0.05, start);
     CHECK(dal_stepper_input(NULL, table) == DAL_EINVAL);
     CHECK(dal_stepper_input(stepper, NULL) == DAL_EINVAL
           && strcmp(dal_stepper_error(stepper)->text, "u is NULL") == 0);
     CHECK(dal_stepper_input(stepper, table) == 0 && dal_stepper_input(stepper, bad) == DAL_EINVAL
           && strcmp(dal_stepper_error(stepper)->text, "u[2] = inf is not finite") == 0);
-    dal_stepper *const other = started(system, "midpoint", 0.05); /* the bad ones changed nothing */
+    /* the bad ones changed nothing */
+    dal_stepper *const other = start_at(system, "midpoint", 0.0, 0.05, start);
     CHECK(dal_stepper_input(other, table) == 0 && dal_step(other, NULL) == 0
           && dal_step(stepper, NULL) == 0);
     CHECK(memcmp(dal_stepper_state(stepper), dal_stepper_state(other), sizeof start) == 0);
@@ -376,7 +367,7 @@ static void test_failures(const dal_system *system)
     static const int answers[] = {2, -3, 0};
     static const int statuses[] = {DAL_STOPPED, DAL_EUSER, DAL_EINVAL};
     for (int i = 0; i < 3; i++) {
-        dal_stepper *const asked = started(system, "midpoint", 0.05);
+        dal_stepper *const asked = start_at(system, "midpoint", 0.0, 0.05, start);
         self = (controller){.hold = 1, .answer = answers[i], .silent = i == 2,
                             .moved = 4 * U};
         run = (dal_run){.stepper = asked, .steps = STEPS, .stride = STEPS, .inputs = inputs,

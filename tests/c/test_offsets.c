@@ -146,8 +146,7 @@ static void test_motions(shape shape, double c, const char *scheme, double toler
         check_near(left, 0.0, 4 * N * U * size, "phi", scheme, __LINE__);
         const double rounding = STEPS * 2 * U * (1.0 + a.k) * c;
         check_near(x[2], exact_z(&a, t, x), tolerance + rounding, "z", scheme, __LINE__);
-        dal_stats stats;
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stats.worst_residual <= DAL_RESIDUAL_BOUND(N));
         CHECK(residual_at(system, t, 0.0, x) <= stats.worst_residual);
         total.substeps += stats.substeps;

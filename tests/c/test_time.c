@@ -696,11 +696,10 @@ static void test_energy(void)
 {
     const dal_system_def def = {.n = 1, .mass = (double[]){1.0}, .potential = pull,
                                 .time_dependent = 1};
-    dal_stats stats;
     dal_system *const system = new_system(&def);
     dal_stepper *const stepper = start_named(system, "midpoint", 0.01, (double[]){1.0, 0.0});
     CHECK(dal_advance(stepper, 128, NULL, NULL) == 0);
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     CHECK(dal_stepper_state(stepper)[1] > 40.0 && stats.jump_step == 0);
 }
 

@@ -198,7 +198,6 @@ static void check_run(const subject *s, const run_vector *r)
     dal_stepper *stepper[WAYS] = {NULL};
     dal_error error = {0};
     double reaction[M], value[M], energy;
-    dal_stats stats;
     char where[160];
     snprintf(where, sizeof where, "%s of %s (%s), %s %g, h = %g, initial %d", r->group, r->system,
              s->kind, r->scheme ? r->scheme : "beta", r->beta, r->h, (int)r->initial);
@@ -228,7 +227,7 @@ static void check_run(const subject *s, const run_vector *r)
         compare(where, "energy", 1, &energy, r->energy);
     }
     /* At most 16 without the Hessian of V, and 6 with it, which converge quadratically. */
-    dal_stepper_stats(stepper[BY_LIBRARY], &stats);
+    const dal_stats stats = stats_of(stepper[BY_LIBRARY]);
     check_in(where, "22 iterations of Newton are enough", stats.iterations <= 22 * stats.substeps);
     release(stepper[0]);
 }

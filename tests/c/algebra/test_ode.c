@@ -1,5 +1,6 @@
 /* The adaptive integrator against equations with known solutions, and how it fails. */
 #include "check.h"
+#include "fixtures.h"
 #include "step/step.h"
 
 #include <gsl/gsl_errno.h>
@@ -9,13 +10,6 @@
 #include <string.h>
 
 enum { MOST = 40 };
-
-/* The library must never provoke it. */
-static void abort_on_gsl_error(const char *reason, const char *file, int line, int number)
-{
-    fprintf(stderr, "%s:%d: GSL's handler was called: %s (%d)\n", file, line, reason, number);
-    abort();
-}
 
 /* A field that fails as it is told to, and how often it was asked. */
 typedef struct problem {
@@ -66,7 +60,7 @@ static int prothero(double t, const double *y, double *dydt, void *ctx, dal_erro
 }
 
 /* y'' = rate y. */
-static int spring(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+static int linear_field(double t, const double *y, double *dydt, void *ctx, dal_error *error)
 {
     const problem *const p = ctx;
     (void)t;
@@ -923,7 +917,7 @@ int main(void)
         if (method != DAL_FLOW_RODAS) test_control(method);
     }
     test_stiff(1, prothero, -1e4, (const double[1]){1.0}, cos(10.0));
-    test_stiff(2, spring, -1e8, (const double[2]){1e-12, 0.0}, 0.0);
+    test_stiff(2, linear_field, -1e8, (const double[2]){1e-12, 0.0}, 0.0);
     test_singular_rodas();
     test_order_rodas();
     test_order_from_zero_rodas();

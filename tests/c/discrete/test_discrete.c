@@ -164,17 +164,6 @@ static int mixed_map(double h, const double *q0, const double *q1, double *g, do
 
 static dal_difference_map rho_beta(double beta) { return (dal_difference_map){.beta = beta}; }
 
-/* The default state, moved a little and projected onto D. */
-static void state_of(const dal_system *system, double *x)
-{
-    unsigned seed = 7;
-    need(dal_system_state(system, x), "state", "");
-    for (size_t i = 0; i < 2 * dal_system_n(system); i++) x[i] += 0.2 * next_number(&seed);
-    dal_mechanics *const mechanics = open_mechanics(system);
-    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project",
-         dal_mechanics_error(mechanics)->text);
-}
-
 #define GOOD(discrete, call) \
     check_true((call) == DAL_SUCCESS, dal_discrete_error(discrete)->text, __FILE__, __LINE__)
 
@@ -296,7 +285,7 @@ static void test_derivatives(const dal_system *system, dal_difference_map lagran
         const double h = 0.2 * sign;
         double x[2 * N], q[2 * N], D1[N], D2[N], D12[N * N], phi1[M * N], phi2[M * N];
         double value[N], column[N];
-        state_of(system, x);
+        moved_state(system, x);
         for (size_t i = 0; i < n; i++) {
             q[i] = x[i];
             q[n + i] = x[i] + h * x[n + i];
@@ -332,7 +321,7 @@ static void test_inverse(const dal_system *system, dal_difference_map map)
     for (int k = 0; k < 4; k++) {
         const double h = (const double[]){0.2, -0.2, 1e-3, 0.5}[k];
         double x[2 * N], y[2 * N], q0[N], q1[N];
-        state_of(system, x);
+        moved_state(system, x);
         GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q0, q1));
         GOOD(d, dal_discrete_state(d, h, q0, q1, y));
         const double size = sum_of_sizes(2 * n, x);
@@ -354,7 +343,7 @@ static void test_step(const dal_system *system, dal_difference_map lagrangian,
     double x[2 * N], q0[N], q1[N], nodes[(STEPS + 2) * N], lambda[STEPS * M], y[2 * N];
     size_t done = 99;
     const double t0 = 0.4;
-    state_of(system, x);
+    moved_state(system, x);
     /* Newton converges quadratically: 5 iterations at most, with two evaluations of L each */
     if (!mass_of(system)) {
         memcpy(y, x, sizeof y);
@@ -415,7 +404,7 @@ static void test_small_steps(const dal_system *system)
         dal_discrete *const d = open_discrete(system, rho_beta(betas[b]), NULL);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         double x[2 * N];
-        state_of(system, x);
+        moved_state(system, x);
         need(dal_stepper_start(stepper, 0.0, h, x, DAL_ASSUME, DAL_INITIAL_NONE), "start", "");
         CHECK(dal_step(stepper, NULL) == 0);
         GOOD(d, dal_discrete_advance(d, 0.0, h, x, NULL));
@@ -438,7 +427,7 @@ static void test_diagram(const dal_system *system, double beta, double h)
     dal_stepper *const on_D_eps = open_stepper(system, &kept, NULL);
     double x[2 * N], q0[N], q1[N], lambda[M], reaction[M], y[2 * N], nodes[(STEPS + 2) * N];
     const double t0 = 0.3;
-    state_of(system, x);
+    moved_state(system, x);
     need(dal_stepper_start(on_D, t0, h, x, DAL_ASSUME, DAL_INITIAL_NONE), "moved", "");
     need(dal_stepper_start(on_D_eps, t0, h, x, DAL_ASSUME, DAL_INITIAL_SHIFT), "kept", "");
     GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q0, q1));
@@ -480,7 +469,7 @@ static void test_regularity(const dal_system *system, double beta, double h)
     double D12[N * N], phi2[M * N], K[N * N], B[M * N], mu[M * N], kappa[M] = {0}, S[M * M];
     const double t = 0.7;
     int sign = 9;
-    state_of(system, x);
+    moved_state(system, x);
     GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q0, q1));
     const double *const w = x + n;
     for (size_t i = 0; i < n; i++) q2[i] = q1[i] + h * w[i];
@@ -565,7 +554,7 @@ static void test_action(dal_system *system)
         for (int k = 0; k < 3; k++) {
             const double h = ldexp(0.1, -k);
             double x0[2 * N], x[2 * N], end[2 * N], action = 0.0, L = NAN, L_d = NAN;
-            state_of(system, x0);
+            moved_state(system, x0);
             memcpy(end, x0, sizeof end);
             CHECK(dal_flow_apply(flow, 0.0, h, end, NULL) == 0);
             for (int i = 0; i < 5; i++) {
@@ -595,7 +584,7 @@ static double measured_order(const dal_system *system, dal_difference_map lagran
     for (int k = 0; k < 2; k++) {
         const double h = ldexp(0.02, -k);
         double x[2 * N], y[2 * N];
-        state_of(system, x);
+        moved_state(system, x);
         memcpy(y, x, sizeof y);
         CHECK(dal_flow_apply(flow, 0.3, 0.3 + h, y, NULL) == 0);
         GOOD(d, dal_discrete_advance(d, 0.3, h, x, NULL));
@@ -666,7 +655,7 @@ static void test_symplectic(const dal_system *system, dal_difference_map map, do
     const size_t n = dal_system_n(system);
     dal_discrete *const d = open_discrete(system, map, NULL);
     double x[2 * N], q[2 * N], J[2][4 * N * N], form[2][4 * N * N], value[2 * N];
-    state_of(system, x);
+    moved_state(system, x);
     GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q, q + n));
     for (int k = 0; k < 2; k++) {
         phase_point p = {d, h, k == 1};
@@ -708,7 +697,7 @@ static void test_trapezoidal(void)
     dal_discrete *const e = open_discrete(uneven, rho_beta(0.5), NULL);
     dal_mechanics *const mech = open_mechanics(uneven);
     double before[3], after[3];
-    state_of(uneven, x);
+    moved_state(uneven, x);
     memcpy(y, x, 6 * sizeof *y);
     GOOD(e, dal_discrete_advance(e, 0.0, h, y, NULL));
     CHECK(dal_acceleration(mech, 0.0, x, before) == 0 && dal_acceleration(mech, h, y, after) == 0);
@@ -782,7 +771,7 @@ static void test_translations(void)
             double x[2 * N], nodes[(STEPS + 2) * N], xi[N] = {0}, first = NAN, plus = NAN;
             const double h = 0.05;
             xi[cases[c].coordinate] = 1.0;
-            state_of(system, x);
+            moved_state(system, x);
             GOOD(d, dal_discrete_nodes(d, 0.0, h, x, nodes, nodes + n));
             GOOD(d, dal_discrete_run(d, 0.0, h, STEPS, nodes, NULL, NULL));
             for (size_t k = 0; k <= STEPS; k++) {
@@ -809,7 +798,7 @@ static void test_force_times(void)
         const dal_difference_map of_D = rho_beta(betas[b]);
         dal_discrete *const two = open_discrete(system, rho_beta(beta_L), &of_D);
         double x[6], q0[3], q1[3], p0[3], p1[3], s0[3], s1[3];
-        state_of(system, x);
+        moved_state(system, x);
         GOOD(two, dal_discrete_nodes(two, 0.0, h, x, q0, q1));
         memcpy(p0, q0, sizeof p0);
         memcpy(p1, q1, sizeof p1);
@@ -901,7 +890,7 @@ static void test_exact(const dal_system *system, bool even)
     dal_flow *const flow = open_flow(system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-14);
     double x[2 * N], end[2 * N], v0[N], defect[M] = {0}, phi[M], size[BETAS][2];
     const double t0 = 0.3;
-    state_of(system, x);
+    moved_state(system, x);
     for (int k = 0; k < 2; k++) {
         const double h = k ? -0.04 : 0.04, finer = k ? 0.002 : 0.004;
         memcpy(end, x, sizeof end);
@@ -1040,14 +1029,6 @@ static void test_moods(void)
     const int status = dal_discrete_advance(d, 0.0, 0.1, x, NULL);
     CHECK(status == DAL_EDOMAIN || status == DAL_ENOCONV); /* its solution is out there */
     CHECK(is.refused > 30 && memcmp(x, far, sizeof x) == 0);
-}
-
-static int spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
-{
-    if (V) *V = q[0] * q[0] / 2;
-    if (V_q) V_q[0] = q[0];
-    if (V_qq) V_qq[0] = 1.0;
-    return 0;
 }
 
 static void test_errors(void)
@@ -1190,7 +1171,8 @@ static void test_errors(void)
     /* no orbit of a spring reaches q1 in half a period unless q1 = -q0 */
     const double mass[1] = {1.0}, a[1] = {1.0}, b[1] = {2.0};
     double v[1] = {7.0};
-    const dal_system_def def = {.n = 1, .mass = mass, .potential = spring};
+    const dal_system_def def = {.n = 1, .mass = mass, .potential = spring,
+                                .ctx = (void *)&(const double){1.0}};
     dal_system *const line = new_system(&def);
     dal_flow *const long_flow = open_flow(line, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-14);
     CHECK(dal_exact_velocity(long_flow, 0.0, 3.14159265358979, a, b, v, NULL) == DAL_ENOCONV);

@@ -47,15 +47,10 @@ static int plain_constraint(double t, const double *q, const double *v, double *
     return 0;
 }
 
-static int no_force(double t, const double *q, const double *v, const double *u, double *f,
+static int no_push(double t, const double *q, const double *v, const double *u, double *f,
                     double *f_q, double *f_v, void *ctx)
 {
-    const size_t n = ((const dal_system *)ctx)->def.n;
-    (void)t, (void)q, (void)v;
-    if (f) memset(f, 0, n * sizeof *f);
-    if (f_q) memset(f_q, 0, n * n * sizeof *f_q);
-    if (f_v) memset(f_v, 0, n * n * sizeof *f_v);
-    return 0;
+    return zero_force(((const dal_system *)ctx)->def.n, f, f_q, f_v);
 }
 
 static int base_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
@@ -81,7 +76,7 @@ static dal_system *open_disguise(const dal_system *base, disguise as)
         def.mass = base->mass;
         def.potential = base_potential;
     }
-    if (as == FORCED) def.force = no_force;
+    if (as == FORCED) def.force = no_push;
     if (as == AFFINE) def.kind = DAL_AFFINE;
     if (as == NONLINEAR) def.kind = DAL_NONLINEAR;
     if (as == DIFFERENCED)
@@ -208,7 +203,7 @@ static void test_same_mechanics(const char *name)
 
 static const double damping = 0.2, stiffness = 1.7, drive = 1.3;
 
-static int spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int sprung(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     if (V) *V = stiffness * q[0] * q[0] / 2;
     if (V_q) V_q[0] = stiffness * q[0];
@@ -244,7 +239,7 @@ static void driven_exact(double t0, double t, const double *x0, double *x)
 static void test_driven(unsigned missing)
 {
     const double mass[1] = {1.0}, x0[2] = {0.4, -0.3}, t0 = 0.7, t1 = 3.7;
-    const dal_system_def def = {.n = 1, .mass = mass, .potential = spring, .force = damped_drive,
+    const dal_system_def def = {.n = 1, .mass = mass, .potential = sprung, .force = damped_drive,
                                 .missing = missing};
     dal_system *const system = new_system(&def);
     CHECK(dal_system_is_forced(system));
@@ -271,8 +266,7 @@ static void test_driven(unsigned missing)
                                                                    : DAL_INITIAL_NONE) == 0);
             CHECK(dal_advance(stepper, steps, NULL, NULL) == 0);
             error[fine] = largest_difference(2, dal_stepper_state(stepper), exact);
-            dal_stats stats;
-            dal_stepper_stats(stepper, &stats);
+            const dal_stats stats = stats_of(stepper);
             CHECK(stats.force_calls > 0 && stats.lagrangian_calls == 0);
             CHECK(stats.differenced == missing);
             release(stepper);
@@ -287,7 +281,7 @@ static void test_driven(unsigned missing)
 static void test_power_of_force(void)
 {
     const double mass[1] = {1.0};
-    const dal_system_def def = {.n = 1, .mass = mass, .potential = spring, .force = damped_drive};
+    const dal_system_def def = {.n = 1, .mass = mass, .potential = sprung, .force = damped_drive};
     dal_system *const system = new_system(&def);
     dal_mechanics *const mech = open_mechanics(system);
     const double x0[2] = {0.4, -0.3}, d = 1e-3, t = 0.9;
@@ -757,10 +751,10 @@ static int scaled_lagrangian(double t, const double *q, const double *v, double 
     return returned;
 }
 
-static int scaled_no_force(double t, const double *q, const double *v, const double *u, double *f,
+static int scaled_no_push(double t, const double *q, const double *v, const double *u, double *f,
                            double *f_q, double *f_v, void *ctx)
 {
-    return no_force(t, q, v, u, f, f_q, f_v, (void *)((const other_units *)ctx)->base);
+    return no_push(t, q, v, u, f, f_q, f_v, (void *)((const other_units *)ctx)->base);
 }
 
 static dal_system *open_scaled(const other_units *u, disguise as)
@@ -773,7 +767,7 @@ static dal_system *open_scaled(const other_units *u, disguise as)
                           .constraint = scaled_constraint};
     if (as == LAGRANGIAN) def.lagrangian = scaled_lagrangian;
     else def.mass = mass, def.potential = scaled_potential;
-    if (as == FORCED) def.force = scaled_no_force;
+    if (as == FORCED) def.force = scaled_no_push;
     if (as == AFFINE) def.kind = DAL_AFFINE;
     return new_system(&def);
 }
@@ -863,13 +857,6 @@ static int weight(double t, const double *q, const double *v, const double *u, d
     if (f_q) f_q[0] = 0.0;
     if (f_v) f_v[0] = 0.0;
     return 0;
-}
-
-static dal_stats stats_of(const dal_stepper *stepper)
-{
-    dal_stats stats;
-    dal_stepper_stats(stepper, &stats);
-    return stats;
 }
 
 /* What falls is where it was expected, also where the steps of a scheme differ and go back: one
@@ -1042,15 +1029,6 @@ static void test_far(const char *name, double far)
         CHECK(dal_chart_lift(chart, 0.0, xi, y) == 0);
         CHECK(dal_discrete_advance(discrete, 0.0, 0.1, x, NULL) == 0);
     }
-}
-
-static int pendulum(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
-{
-    (void)ctx;
-    if (V) *V = -cos(q[0]);
-    if (V_q) *V_q = sin(q[0]);
-    if (V_qq) *V_qq = cos(q[0]);
-    return 0;
 }
 
 static int no_weight(double t, const double *q, const double *v, const double *u, double *f,

@@ -13,16 +13,6 @@ enum { N = 12, M = 6, WIDTH = 2 * N };
 
 /* ---- systems ------------------------------------------------------------------------------- */
 
-/* phi = mu v + delta v_x v_y */
-static int product(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
-                   double *g_t, void *ctx)
-{
-    if (g) g[0] = v[0] * v[1];
-    vector_set(g_v, 3, (double[]){v[1], v[0], 0.0});
-    vector_set(g_q, 3, (double[3]){0.0});
-    return 0;
-}
-
 /* phi = mu v + delta (1 + sin x) */
 static int drift(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
                  double *g_t, void *ctx)
@@ -769,7 +759,8 @@ int main(void)
         dal_system *const system = open_vector_system(&vector_systems[k]);
         test_system(system);
         if (vector_systems[k].n == 3) {
-            dal_system *const deformed = open_deformed(system, product, NULL, 0.3, DAL_NONLINEAR, 0);
+            dal_system *const deformed = open_deformed(system, product, NULL, 0.3, DAL_NONLINEAR,
+                                                       0);
             dal_system *const affine = open_deformed(system, drift, NULL, 0.3, DAL_AFFINE, 0);
             test_system(deformed);
             test_system(affine);

@@ -423,16 +423,6 @@ static void test_failures(void)
 
 /* ---- systems with a state, some with M(q) or a nonlinear constraint ------------------------ */
 
-/* g = v_x v_y */
-static int product(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
-                   double *g_t, void *ctx)
-{
-    if (g) g[0] = v[0] * v[1];
-    vector_set(g_v, 3, (double[]){v[1], v[0], 0.0});
-    vector_set(g_q, 3, (double[3]){0.0});
-    return 0;
-}
-
 /* held: what has to outlive the system. */
 static dal_system *with_state(const vector_system *is, dal_constraint_kind kind,
                               dal_system *held[2])

@@ -7,13 +7,6 @@
 
 #include <stdlib.h>
 
-/* The library must never provoke it. */
-static void abort_on_gsl_error(const char *reason, const char *file, int line, int number)
-{
-    fprintf(stderr, "%s:%d: GSL's handler was called: %s (%d)\n", file, line, reason, number);
-    abort();
-}
-
 /* ---- a system that can be spoiled ------------------------------------------------------- */
 
 typedef enum wrong {
@@ -95,12 +88,8 @@ static int constraint(double t, const double *q, const double *v, double *phi, d
 static int examine_def(const dal_system_def *def, const double *x, dal_check *report,
                        dal_error *error)
 {
-    dal_error made;
-    dal_system *const system = new_system(def);
-    if (!system) fprintf(stderr, "%s\n", made.text);
     memset(report, 0x7f, sizeof *report);
-    const int status = dal_system_check(system, 0.0, x, report, error);
-    return status;
+    return dal_system_check(new_system(def), 0.0, x, report, error);
 }
 
 static int examine(spoiled *s, unsigned missing, dal_check *report, dal_error *error)

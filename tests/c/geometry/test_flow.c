@@ -8,13 +8,6 @@
 
 enum { MOST = 8 }; /* 2n of every system here */
 
-/* The library must never provoke it. */
-static void abort_on_gsl_error(const char *reason, const char *file, int line, int number)
-{
-    fprintf(stderr, "%s:%d: GSL's handler was called: %s (%d)\n", file, line, reason, number);
-    abort();
-}
-
 static double distance(size_t count, const double *x, const double *y)
 {
     double most = 0.0;

@@ -64,12 +64,11 @@ static void check_member(const char *name, const dal_scheme *scheme, double h, s
     dal_stepper *const stepper = start_member(system, scheme, h);
     dal_mechanics *const mech = open_mechanics(system);
     const size_t n = dal_system_n(system), m = dal_system_m(system), all = STEPS / stride + 1;
-    dal_stats stats;
     if (scheme->nodes == DAL_KEPT_NODES) dal_scheme_shift(scheme, &shift);
     CHECK(!dal_integrate(stepper, STEPS, stride, x, reactions, NULL, NULL, NULL));
     CHECK(!dal_trajectory(mech, 0.5, (double)stride * h, shift * h, all, x, NULL, energy,
                           multipliers, NULL, residual, NULL));
-    dal_stepper_stats(stepper, &stats);
+    dal_stats stats = stats_of(stepper);
     stats.error = (double)NAN; /* of which members have no estimate */
     stats.remade = stats.whole = 0;
     const size_t from = all - rows; /* which are all of them, or the last */

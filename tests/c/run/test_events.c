@@ -40,17 +40,6 @@ static dal_events *events_of(const dal_stepper *stepper, const char *scheme, con
     return events;
 }
 
-static dal_stepper *started(const dal_system *system, const char *scheme, double t0, double h,
-                            const double *x)
-{
-    const dal_scheme record = find_scheme(scheme);
-    dal_stepper *const stepper = open_stepper(system, &record, NULL);
-    need(dal_stepper_start(stepper, t0, h, x, DAL_CHECK,
-                           record.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE),
-         scheme, dal_stepper_error(stepper)->text);
-    return stepper;
-}
-
 /* ---- a ball: free fall with a bounce, which leapfrog solves exactly ------------------------- */
 
 static const double g0 = 9.0;
@@ -122,7 +111,7 @@ static void test_bounces(const dal_system *ball, double h)
             count++;
             break;
         }
-    dal_stepper *const stepper = started(ball, "leapfrog", 0.0, h, x0);
+    dal_stepper *const stepper = start_at(ball, "leapfrog", 0.0, h, x0);
     dal_events *const events = events_of(stepper, "leapfrog", list, 3);
     seen s = {.n = 2};
     dal_run run = {.stepper = stepper, .steps = steps, .stride = 1, .events = events,
@@ -142,8 +131,7 @@ static void test_bounces(const dal_system *ball, double h)
     CHECK_NEAR(rows[0], 6.0, 1e-12);
     const double since = 4.0 - (at - 2.0 * v / g0);
     CHECK_NEAR(rows[1], v * since - 0.5 * g0 * since * since, 1e-12);
-    dal_stats stats;
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     CHECK(stats.jump_step == 0 && stats.steps == steps); /* a bounce is no jump of the energy */
     dal_events_free(events);
 }
@@ -179,7 +167,7 @@ static double event_error(const dal_system *system, const char *scheme, double h
     need(dal_system_state(system, start), "state", "");
     const double t = exact_event(system, start, x);
     const dal_event list[] = {{.g = line, .terminal = 1}};
-    dal_stepper *const stepper = started(system, scheme, 0.0, h, start);
+    dal_stepper *const stepper = start_at(system, scheme, 0.0, h, start);
     dal_events *const events = events_of(stepper, scheme, list, 1);
     seen s = {.n = 3};
     dal_run run = {.stepper = stepper, .steps = (size_t)lround(3.0 / h), .stride = 1,
@@ -230,7 +218,7 @@ static void check_looking(const char *scheme, double h)
     for (size_t k = 0; k < STEPS; k++)
         times[k] = 0.5 + (double)STEPS * h * (k == STEPS - 1 ? 1.0 : pow((double)k / STEPS, 1.3));
     for (int looking = 0; looking < 2; looking++) {
-        dal_stepper *const stepper = started(system, scheme, 0.5, h, start);
+        dal_stepper *const stepper = start_at(system, scheme, 0.5, h, start);
         dal_events *const events = looking ? events_of(stepper, scheme, list, 2) : NULL;
         dal_run run = {.stepper = stepper, .steps = STEPS, .stride = 1,
                        .x = looking ? rows : plain, .reactions = reactions[looking],
@@ -272,7 +260,7 @@ static void test_grazing(const dal_system *ball)
         plane top = {1, 0.5 - depth, 0.0};
         const dal_event list[] = {{.g = above, .ctx = &top}, {.g = above, .direction = -1,
                                                               .ctx = &top}};
-        dal_stepper *const stepper = started(ball, "leapfrog", 0.0, h, x0);
+        dal_stepper *const stepper = start_at(ball, "leapfrog", 0.0, h, x0);
         dal_events *const events = events_of(stepper, "leapfrog", list, 2);
         seen s = {.n = 2};
         dal_run run = {.stepper = stepper, .steps = 4, .stride = 1, .events = events,
@@ -315,7 +303,7 @@ static void test_resets(const dal_system *ball)
         if (k == 1) floor.restitution = 0.0;
         const dal_event list[] = {
             {.g = above, .reset = bounce, .ctx = &floor, .reset_ctx = &floor}};
-        dal_stepper *const stepper = started(ball, "leapfrog", 0.0, 0.25, x0);
+        dal_stepper *const stepper = start_at(ball, "leapfrog", 0.0, 0.25, x0);
         dal_events *const events = events_of(stepper, "leapfrog", list, 1);
         double rows[4 * 41];
         dal_run run = {.stepper = stepper, .steps = 40, .stride = 1, .x = rows, .events = events,
@@ -336,7 +324,7 @@ static void test_resets(const dal_system *ball)
     floor.restitution = 0.5;
     const dal_event slower[] = {{.g = above, .reset = bounce, .ctx = &floor, .reset_ctx = &floor}};
     for (double h = 0.013; h < 5.0; h *= 1.7) {
-        dal_stepper *const stepper = started(ball, "leapfrog", 0.0, h, x0);
+        dal_stepper *const stepper = start_at(ball, "leapfrog", 0.0, h, x0);
         dal_events *const events = events_of(stepper, "leapfrog", slower, 1);
         dal_run run = {.stepper = stepper, .steps = (size_t)(4.0 / h) + 1, .stride = 1,
                        .events = events};
@@ -347,7 +335,7 @@ static void test_resets(const dal_system *ball)
     }
     /* many in one step */
     floor.restitution = 0.97;
-    dal_stepper *const long_step = started(ball, "leapfrog", 0.0, 60.0, x0);
+    dal_stepper *const long_step = start_at(ball, "leapfrog", 0.0, 60.0, x0);
     dal_events *const many = events_of(long_step, "leapfrog", slower, 1);
     dal_run all = {.stepper = long_step, .steps = 1, .stride = 1, .events = many};
     CHECK(dal_run_go(&all, 1) == DAL_EZENO && all.done == 0);
@@ -359,7 +347,7 @@ static void test_resets(const dal_system *ball)
                                 {.g = above, .reset = bounce, .ctx = &top, .reset_ctx = &top}};
     const double towards[4] = {0.0, 0.0, 1.0, 0.5 * g0 - 2.0};
     for (double h = 0.3; h > 0.01; h *= 0.5) {
-        dal_stepper *const stepper = started(ball, "leapfrog", 0.0, h, towards);
+        dal_stepper *const stepper = start_at(ball, "leapfrog", 0.0, h, towards);
         dal_events *const events = events_of(stepper, "leapfrog", corner, 2);
         dal_run run = {.stepper = stepper, .steps = (size_t)ceil(1.2 / h), .stride = 1,
                        .events = events, .happened = happened, .happened_ctx = &s};
@@ -380,7 +368,7 @@ static void test_resets(const dal_system *ball)
                                  {.g = above, .reset = bounce, .ctx = &floor, .reset_ctx = &floor},
                                  {.g = above, .direction = -1, .ctx = &floor}};
     for (double h = 0.01; h < 2.0; h *= 1.7) {
-        dal_stepper *const stepper = started(ball, "leapfrog", 0.0, h, x0);
+        dal_stepper *const stepper = start_at(ball, "leapfrog", 0.0, h, x0);
         dal_events *const events = events_of(stepper, "leapfrog", watched, 3);
         dal_run run = {.stepper = stepper, .steps = (size_t)(4.0 / h), .stride = 1,
                        .events = events, .happened = happened, .happened_ctx = &s};
@@ -398,7 +386,7 @@ static void test_resets(const dal_system *ball)
     /* on a circle of length 1, several times round in a step */
     plane end = {0, 1.0, 0.0};
     const dal_event round[] = {{.g = above, .direction = 1, .reset = wrap, .ctx = &end}};
-    dal_stepper *const stepper = started(ball, "leapfrog", 0.0, 3.7, x0);
+    dal_stepper *const stepper = start_at(ball, "leapfrog", 0.0, 3.7, x0);
     dal_events *const events = events_of(stepper, "leapfrog", round, 1);
     dal_run run = {.stepper = stepper, .steps = 10, .stride = 1, .events = events,
                    .happened = happened, .happened_ctx = &s};
@@ -424,7 +412,7 @@ static void test_terminal(const dal_system *ball)
     double rows[4 * 11], at[4 * 6];
     const double times[] = {0.0, 0.66, 0.67, 1.0, 3.31, 3.5}, T = 2.0 / 3.0;
     memset(rows, 0, sizeof rows);
-    dal_stepper *const stepper = started(ball, "leapfrog", 0.0, 0.05, x0);
+    dal_stepper *const stepper = start_at(ball, "leapfrog", 0.0, 0.05, x0);
     dal_events *const events = events_of(stepper, "leapfrog", list, 2);
     seen s = {.n = 2};
     dal_run run = {.stepper = stepper, .steps = 100, .stride = 10, .x = rows, .events = events,
@@ -466,7 +454,7 @@ static void test_reactions(void)
     for (int way = 0; way < 2; way++) {
         const dal_event list[] = {{.g = pass_x, .direction = 1, .terminal = !way,
                                    .reset = turn_back, .ctx = &wall}};
-        dal_stepper *const stepper = started(system, "leapfrog-kl8", 0.0, 0.1, start);
+        dal_stepper *const stepper = start_at(system, "leapfrog-kl8", 0.0, 0.1, start);
         dal_events *const events = events_of(stepper, "leapfrog-kl8", list, 1);
         seen s = {.n = 3};
         dal_run run = {.stepper = stepper, .steps = 12, .stride = 12, .x = rows,
@@ -513,7 +501,7 @@ static void test_inputs(void)
     dal_system *const system = new_system(&def);
     plane at = {0, 0.7, 0.0};
     const dal_event list[] = {{.g = above, .ctx = &at}};
-    dal_stepper *const stepper = started(system, "midpoint", 0.0, 0.25, x0);
+    dal_stepper *const stepper = start_at(system, "midpoint", 0.0, 0.25, x0);
     dal_events *const events = events_of(stepper, "midpoint", list, 1);
     seen s = {.n = 2};
     dal_run run = {.stepper = stepper, .steps = 8, .stride = 1, .inputs = inputs, .hold = 4,
@@ -540,7 +528,7 @@ static void test_resuming(const dal_system *ball)
     seen s[2] = {{.n = 2}, {.n = 2}};
     size_t ends[2] = {0};
     for (int way = 0; way < 2; way++) {
-        dal_stepper *stepper = started(ball, "leapfrog-kl6", 0.0, 0.05, x0);
+        dal_stepper *stepper = start_at(ball, "leapfrog-kl6", 0.0, 0.05, x0);
         dal_events *events = events_of(stepper, "leapfrog-kl6", list, 2);
         dal_run run = {.stepper = stepper, .steps = ALL, .stride = 1, .x = rows[way],
                        .events = events, .happened = happened, .happened_ctx = &s[way]};
@@ -564,7 +552,7 @@ static void test_resuming(const dal_system *ball)
         release(stepper);
     }
     /* numbers that are no guard's end in an error, not in GSL */
-    dal_stepper *const stepper = started(ball, "leapfrog-kl6", 0.0, 0.05, x0);
+    dal_stepper *const stepper = start_at(ball, "leapfrog-kl6", 0.0, 0.05, x0);
     dal_events *const events = events_of(stepper, "leapfrog-kl6", list, 2);
     dal_run wrong = {.stepper = stepper, .steps = ALL, .stride = 1, .events = events};
     CHECK(dal_run_go(&wrong, 1) == DAL_SUCCESS);
@@ -627,7 +615,7 @@ static void test_failures(void)
         const dal_event list[] = {
             {.g = pass_x, .ctx = &wall},
             {.g = troubled, .reset = kind > 4 ? bad_reset : NULL, .ctx = &one, .reset_ctx = &one}};
-        dal_stepper *const stepper = started(system, "midpoint", 0.0, 0.1, start);
+        dal_stepper *const stepper = start_at(system, "midpoint", 0.0, 0.1, start);
         dal_events *const events = events_of(stepper, "midpoint", list, 2);
         seen s = {.n = 3};
         dal_run run = {.stepper = stepper, .steps = 20, .stride = 1, .x = rows[kind > 0],
@@ -651,7 +639,7 @@ static void test_failures(void)
     for (int kind = 0; kind < 2; kind++) {
         trouble one = {kind, 0.55};
         const dal_event list[] = {{.g = troubled, .ctx = &one}};
-        dal_stepper *const stepper = started(system, "midpoint", 0.0, 0.1, start);
+        dal_stepper *const stepper = start_at(system, "midpoint", 0.0, 0.1, start);
         dal_events *const events = events_of(stepper, "midpoint", list, 1);
         dal_run run = {.stepper = stepper, .steps = 20, .stride = 20, .reactions = &means[kind],
                        .events = events};
@@ -666,7 +654,7 @@ static void test_failures(void)
     trouble one = {6, 9.0};
     dal_event list[] = {{.g = troubled, .reset = bad_reset, .consistency = DAL_PROJECT,
                          .ctx = &one, .reset_ctx = &one}};
-    dal_stepper *const stepper = started(system, "midpoint", 0.0, 0.1, start);
+    dal_stepper *const stepper = start_at(system, "midpoint", 0.0, 0.1, start);
     dal_events *const events = events_of(stepper, "midpoint", list, 1);
     seen s = {.n = 3, .stop_at = 1, .answer = 5};
     dal_run run = {.stepper = stepper, .steps = 20, .stride = 1, .x = rows[0], .events = events,
@@ -707,7 +695,7 @@ static void test_failures(void)
     CHECK(dal_events_restore(events, values, 5, &error) == DAL_EINVAL);
     CHECK(dal_events_restore(NULL, values, 5, &error) == DAL_EINVAL);
 
-    dal_stepper *const second = started(system, "midpoint", 0.0, 0.1, start);
+    dal_stepper *const second = start_at(system, "midpoint", 0.0, 0.1, start);
     double times[] = {0.3, 0.2}, at[12];
     run = (dal_run){.stepper = second, .steps = 5, .stride = 1, .events = events};
     CHECK(dal_run_go(&run, 1) == DAL_EINVAL);

@@ -163,12 +163,11 @@ static void test_lengths(void)
     size_t steps[2];
     for (int k = 0; k < 2; k++) {
         dal_stepper *const stepper = controlled(system, "leapfrog-kl8", k ? 1e-11 : 1e-5);
-        dal_stats stats;
         begin(stepper, system, 0.0, 50.0);
         CHECK(dal_stepper_until(stepper, 100.0) == DAL_SUCCESS);
         while (dal_stepper_time(stepper) < 100.0 && !dal_step(stepper, NULL))
             CHECK(stepper->pace.error <= 1.0);
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stats.rejected > 0 && stats.rejected < 20);
         steps[k] = stats.steps;
         release(stepper);
@@ -215,11 +214,10 @@ static void test_straight_line(void)
         dal_stepper *const stepper = controlled(system, k ? "leapfrog-kl8" : "bm6",
                                                 k < 2 ? 1e-9 : 1e-13);
         double x[6] = {1.0, 0.3, 0.7, 1.0 / 3.0, 0.0, 0.1}; /* z' = y x' */
-        dal_stats stats;
         need(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE), "start", "");
         CHECK(dal_stepper_until(stepper, 1e3) == DAL_SUCCESS);
         while (dal_stepper_time(stepper) < 1e3 && !dal_step(stepper, NULL)) continue;
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stepper->pace.share == 1.0 && stats.uncontrolled == 0 && stats.steps < 100);
         for (size_t i = 0; i < 3; i++) x[i] += 1e3 * x[3 + i];
         CHECK(largest_difference(6, dal_stepper_state(stepper), x) < 1e-11);
@@ -270,12 +268,11 @@ static void test_domain(void)
     const dal_system_def def = {.n = 2, .mass = mass, .potential = cliff, .state = state};
     dal_system *const system = new_system(&def);
     dal_stepper *const stepper = controlled(system, "leapfrog-kl6", 1e-8);
-    dal_stats stats;
     begin(stepper, system, 0.0, 3.0);
     CHECK(dal_stepper_until(stepper, 3.0) == DAL_SUCCESS);
     while (dal_stepper_time(stepper) < 3.0 && !dal_step(stepper, NULL)) continue;
     const double *const x = dal_stepper_state(stepper);
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     CHECK(dal_stepper_time(stepper) == 3.0 && x[2] < -0.9 && stats.rejected > 0);
     CHECK_NEAR(0.5 * x[2] * x[2] - log(1.0 - x[0]) / 4.0, 0.5, 1e-6);
 }

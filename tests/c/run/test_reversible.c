@@ -74,13 +74,6 @@ static void begin(dal_stepper *stepper, const dal_system *system)
     begin_at(stepper, 0.0, 1.0, x);
 }
 
-static dal_stats stats_of(const dal_stepper *stepper)
-{
-    dal_stats stats;
-    dal_stepper_stats(stepper, &stats);
-    return stats;
-}
-
 /* The largest |E - E_0| in steps up to t; with fresh, rho is made sigma after each step. */
 static double drift(dal_stepper *stepper, dal_mechanics *mechanics, double t, double E0, bool fresh)
 {
@@ -472,16 +465,6 @@ static void test_saved(void)
                                            &error); \
         CHECK(status < 0 && !made && strstr(error.text, words) != NULL); \
     } while (0)
-
-static int no_force(double t, const double *q, const double *v, const double *u, double *f,
-                    double *f_q, double *f_v, void *ctx)
-{
-    (void)t, (void)q, (void)v, (void)u, (void)ctx;
-    if (f) memset(f, 0, 3 * sizeof *f);
-    if (f_q) memset(f_q, 0, 9 * sizeof *f_q);
-    if (f_v) memset(f_v, 0, 9 * sizeof *f_v);
-    return 0;
-}
 
 static void test_refused(void)
 {

@@ -5,18 +5,6 @@
 
 enum { STEPS = 24, N2 = 8, M = 2, EMPTY = 7 };
 
-static dal_stepper *started(const dal_system *system, const char *scheme, double t0, double h)
-{
-    const dal_scheme record = find_scheme(scheme);
-    dal_stepper *const stepper = open_stepper(system, &record, NULL);
-    double x[N2];
-    need(dal_system_state(system, x), "state", "");
-    need(dal_stepper_start(stepper, t0, h, x, DAL_CHECK,
-                           record.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE),
-         scheme, dal_stepper_error(stepper)->text);
-    return stepper;
-}
-
 static void fill(size_t count, double *x)
 {
     for (size_t i = 0; i < count; i++) x[i] = EMPTY;
@@ -28,8 +16,8 @@ static void fill(size_t count, double *x)
 static void check_rows(const char *scheme, double h, size_t stride)
 {
     dal_system *const system = open_system("disk");
-    dal_stepper *const run = started(system, scheme, 1.5, h);
-    dal_stepper *const single = started(system, scheme, 1.5, h);
+    dal_stepper *const run = start_at(system, scheme, 1.5, h, NULL);
+    dal_stepper *const single = start_at(system, scheme, 1.5, h, NULL);
     double x[(STEPS + 1) * N2 + 1], reactions[STEPS * M + 1];
     size_t done = 99;
     fill(sizeof x / sizeof *x, x);
@@ -59,8 +47,8 @@ static void test_continuing(void)
     dal_system *const system = open_system("generic4");
     const char *const schemes[] = {"leapfrog", "midpoint", "midpoint-nodes", "leapfrog-yoshida4"};
     for (size_t j = 0; j < 4; j++) {
-        dal_stepper *const one = started(system, schemes[j], 0.0, 0.03);
-        dal_stepper *const two = started(system, schemes[j], 0.0, 0.03);
+        dal_stepper *const one = start_at(system, schemes[j], 0.0, 0.03, NULL);
+        dal_stepper *const two = start_at(system, schemes[j], 0.0, 0.03, NULL);
         double x[(STEPS + 1) * N2], y[(STEPS + 1) * N2];
         size_t done;
         CHECK(dal_integrate(one, STEPS, 2, x, NULL, NULL, NULL, NULL) == DAL_SUCCESS);
@@ -77,7 +65,7 @@ static void test_continuing(void)
 static void test_empty(void)
 {
     dal_system *const system = open_system("disk");
-    dal_stepper *const stepper = started(system, "leapfrog", 0.0, 0.1);
+    dal_stepper *const stepper = start_at(system, "leapfrog", 0.0, 0.1, NULL);
     double x[2 * N2], reactions[M] = {EMPTY, EMPTY};
     size_t done = 99;
     fill(2 * N2, x);
@@ -102,7 +90,7 @@ static void test_time(void)
     dal_system *const system = open_system("particle");
     const double t0 = 0.3, steps[] = {0.1, -0.1, 1e-3};
     for (size_t j = 0; j < 3; j++) {
-        dal_stepper *const stepper = started(system, "explicit", t0, steps[j]);
+        dal_stepper *const stepper = start_at(system, "explicit", t0, steps[j], NULL);
         for (size_t k = 1; k <= 300; k++) {
             CHECK(dal_integrate(stepper, 3, 1, NULL, NULL, NULL, NULL, NULL) == DAL_SUCCESS);
             CHECK(dal_stepper_time(stepper) == t0 + (double)(3 * k) * steps[j]);
@@ -133,7 +121,7 @@ static void test_observer(void)
 {
     const double h = 0.1, t0 = 2.0;
     dal_system *const system = open_system("disk");
-    dal_stepper *const stepper = started(system, "midpoint", t0, h);
+    dal_stepper *const stepper = start_at(system, "midpoint", t0, h, NULL);
     double x[(STEPS + 1) * N2], reactions[STEPS * M];
     size_t done = 99;
     watch w = {.stride = 4, .stop_at = 999, .fail_at = 999, .t0 = t0, .h = h};
@@ -190,7 +178,7 @@ typedef struct record {
 static void run_in_parts(const dal_system *system, const char *scheme, size_t stride, size_t budget,
                          size_t stop_at, record *r)
 {
-    dal_stepper *const stepper = started(system, scheme, 0.25, 0.01);
+    dal_stepper *const stepper = start_at(system, scheme, 0.25, 0.01, NULL);
     const size_t N = 2 * dal_system_n(system);
     fill(DAL_LENGTH(r->x), r->x);
     fill(DAL_LENGTH(r->reactions), r->reactions);
@@ -296,7 +284,7 @@ static void test_mended(void)
             dal_system *const system = new_system(&def);
             for (size_t calls = 0; calls < 400; calls += 3) {
                 left = 0;
-                dal_stepper *const stepper = started(system, schemes[j], 0.0, 0.2);
+                dal_stepper *const stepper = start_at(system, schemes[j], 0.0, 0.2, NULL);
                 const int k = calls > 0;
                 dal_run run = {.stepper = stepper, .steps = MADE, .stride = STRIDE, .x = rows[k],
                                .reactions = reactions[k]};
@@ -438,7 +426,7 @@ static void test_arguments(void)
     dal_system *const system = open_system("disk");
     const dal_scheme leapfrog = find_scheme("leapfrog");
     dal_stepper *const fresh = open_stepper(system, &leapfrog, NULL);
-    dal_stepper *const stepper = started(system, "leapfrog", 0.0, 0.1);
+    dal_stepper *const stepper = start_at(system, "leapfrog", 0.0, 0.1, NULL);
     double x[N2], before[N2];
     size_t done = 99;
     fill(N2, x);
@@ -482,7 +470,7 @@ static void test_failure(void)
     const char *const schemes[] = {"explicit", "midpoint", "leapfrog-yoshida4"};
     for (size_t j = 0; j < 3; j++) {
         const dal_scheme scheme = find_scheme(schemes[j]);
-        dal_stepper *const stepper = started(system, schemes[j], 0.0, 0.1);
+        dal_stepper *const stepper = start_at(system, schemes[j], 0.0, 0.1, NULL);
         dal_stepper *const other = open_stepper(particle, &scheme, NULL);
         double x[(STEPS + 1) * 6], reactions[STEPS], x0[6], mean = NAN;
         size_t done = 99, good = 99;
@@ -522,12 +510,11 @@ static void test_infinite_energy(void)
 {
     const double mass = 1.0, x0[2] = {1.0, 0.0};
     const dal_system_def def = {.n = 1, .mass = &mass, .potential = steep};
-    dal_stats stats;
     dal_system *const system = new_system(&def);
     dal_stepper *const stepper = start_named(system, "leapfrog", 1.0, x0);
     CHECK(dal_advance(stepper, 28, NULL, NULL) == 0);
     CHECK(dal_integrate(stepper, 1, 1, NULL, NULL, NULL, NULL, NULL) == 0);
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     CHECK(dal__all_finite(2, dal_stepper_state(stepper)) && stats.jump_step == 29);
     CHECK(isinf(stats.jump));
 }
@@ -577,16 +564,6 @@ static int in_line(double t, const double *q, const double *v, double *phi, doub
     return 0;
 }
 
-static int no_force(double t, const double *q, const double *v, const double *u, double *f,
-                    double *f_q, double *f_v, void *ctx)
-{
-    (void)t, (void)q, (void)v, (void)ctx;
-    if (f) memset(f, 0, 2 * sizeof *f);
-    if (f_q) memset(f_q, 0, 4 * sizeof *f_q);
-    if (f_v) memset(f_v, 0, 4 * sizeof *f_v);
-    return 0;
-}
-
 enum { JUMP_H = 8, GENERAL = 1, FORCED = 2, AFFINE = 4 }; /* h = 1/8 */
 
 /* The statistics after so many steps from x = 0 with speed v. */
@@ -597,7 +574,7 @@ static dal_stats climb(stairs s, const char *name, int flags, double v, size_t s
         .n = 2, .m = 1, .constraint = in_line, .ctx = &s,
         .mass = flags & GENERAL ? NULL : mass, .potential = flags & GENERAL ? NULL : on_stairs,
         .lagrangian = flags & GENERAL ? lagrangian_on_stairs : NULL,
-        .force = flags & FORCED ? no_force : NULL,
+        .force = flags & FORCED ? no_force_2 : NULL,
         .kind = flags & AFFINE ? DAL_AFFINE : DAL_LINEAR};
     dal_scheme scheme = find_scheme(name);
     const double x[4] = {0.0, 0.0, v, 0.0};

@@ -36,7 +36,6 @@ static void test_exact(void)
                 const size_t n = dal_system_n(system), N = 2 * n;
                 dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
                 double x0[MOST_2N], exact[MOST_2N], worst = 0.0;
-                dal_stats stats;
                 start(stepper, system, 0.0, h);
                 memcpy(x0, dal_stepper_state(stepper), N * sizeof *x0);
                 for (size_t k = 1; k <= STEPS; k++) {
@@ -53,7 +52,7 @@ static void test_exact(void)
                     CHECK(residual_of(system, 0.0, x) <= DAL_RESIDUAL_BOUND(n));
                     worst = fmax(worst, residual_of(system, 0.0, x));
                 }
-                dal_stepper_stats(stepper, &stats);
+                const dal_stats stats = stats_of(stepper);
                 CHECK(stats.steps == STEPS && stats.substeps == STEPS);
                 CHECK(stats.evaluations >= STEPS && stats.iterations == 0);
                 CHECK(stats.worst_residual >= 0.5 * worst); /* added up in another order */
@@ -74,11 +73,10 @@ static void test_tolerance(void)
     for (size_t j = 0; j < COUNT; j++) {
         const dal_scheme scheme = reference(j + 1 < COUNT ? &data[j] : NULL);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-        dal_stats stats;
         start(stepper, system, 0.0, 2.0);
         CHECK(dal_advance(stepper, 10, NULL, NULL) == 0);
         memcpy(x[j], dal_stepper_state(stepper), 8 * sizeof(double));
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         evaluations[j] = stats.evaluations;
         release(stepper);
     }
@@ -205,7 +203,6 @@ static void test_edge(void)
         const dal_scheme scheme = reference(&data);
         dal_system *const edge = open_system("uneven_edge");
         dal_system_def def = edge->def;
-        dal_stats stats;
         double wall = 0.01;
         def.constraint = walled;
         def.ctx = &wall;
@@ -216,7 +213,7 @@ static void test_edge(void)
         const dal_error *const error = dal_stepper_error(stepper);
         CHECK(strstr(error->text, "constraint returned 1") != NULL);
         CHECK(fabs(dal_stepper_state(stepper)[0] - wall) < 1e-3);
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stats.evaluations < 40 * stats.steps + 20000);
         release(edge);
     }

@@ -479,10 +479,9 @@ static void test_it_is_used(void)
     const dal_scheme scheme = find_scheme("midpoint");
     for (way by = 0; by < WAYS; by++) {
         dal_stepper *const stepper = open_stepper_by(by, system, &scheme);
-        dal_stats stats;
         CHECK(dal_stepper_start(stepper, 0.0, 0.02, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_advance(stepper, 5, NULL, NULL) == 0);
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stats.steps == 5 && stats.halvings == (by == BY_LIBRARY));
         release(stepper);
     }
@@ -506,24 +505,6 @@ static void test_refusals_of_callbacks(void)
         CHECK(memcmp(dal_stepper_state(own), dal_stepper_state(library), 6 * sizeof(double)) == 0);
         release(system);
     }
-}
-
-/* Never called. */
-static int no_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
-                         double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
-                         void *ctx)
-{
-    return -1;
-}
-
-static int no_force(double t, const double *q, const double *v, const double *u, double *f,
-                    double *f_q, double *f_v, void *ctx)
-{
-    (void)t, (void)q, (void)v, (void)ctx;
-    if (f) memset(f, 0, 3 * sizeof *f);
-    if (f_q) memset(f_q, 0, 9 * sizeof *f_q);
-    if (f_v) memset(f_v, 0, 9 * sizeof *f_v);
-    return 0;
 }
 
 /* What is wrong is said by the stepper, in words. */
@@ -599,7 +580,7 @@ static void test_bad_definitions(void)
     def.missing = 0;
     def.mass = NULL;
     def.potential = NULL;
-    def.lagrangian = no_lagrangian;
+    def.lagrangian = never_lagrangian;
     refused(&def, "a different system");
     def = good;
     def.ctx = NULL;

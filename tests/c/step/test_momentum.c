@@ -77,8 +77,7 @@ static void test_same_steps(const char *name, const char *scheme, double h)
         check_near(largest_difference(N, x[BY_LIBRARY], x[BY_MULTIROOT]), 0.0, 64 * U * size * k,
                    name, scheme, __LINE__);
     }
-    dal_stats stats;
-    dal_stepper_stats(by[BY_LIBRARY], &stats);
+    const dal_stats stats = stats_of(by[BY_LIBRARY]);
     CHECK(stats.full_newtons == 0);
 }
 
@@ -253,9 +252,8 @@ static void test_large_steps(void)
     def.exact = NULL;
     dal_system *const system = new_system(&def);
     dal_stepper *const stepper = started(BY_LIBRARY, system, "midpoint", 2.1328142859, x);
-    dal_stats stats;
     CHECK(dal_advance(stepper, 60, NULL, NULL) == DAL_SUCCESS);
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     CHECK(stats.full_newtons > 20);
 }
 

@@ -67,7 +67,6 @@ static void check_steps(const char *name, const dal_scheme *scheme, const dal_pa
     const size_t n = dal_system_n(system), m = dal_system_m(system);
     dal_stepper *const stepper = open_stepper(system, scheme, NULL);
     double x[MOST_2N], reaction[MOST_M], lambda[MOST_M], sum[MOST_M] = {0.0}, worst = 0.0;
-    dal_stats stats;
     dal_discrete *const discrete = open_discrete(system, maps->lagrangian, &maps->constraint);
     start(stepper, system, step);
     for (size_t k = 0; k < STEPS; k++) {
@@ -87,7 +86,7 @@ static void check_steps(const char *name, const dal_scheme *scheme, const dal_pa
         for (size_t a = 0; a < m; a++) sum[a] += reaction[a];
     }
     CHECK(dal_stepper_time(stepper) == t0 + STEPS * step);
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     /* that of the fixtures adds up in another order */
     CHECK(stats.worst_residual >= 0.5 * worst && stats.worst_residual <= DAL_RESIDUAL_BOUND(n));
     CHECK(stats.steps == STEPS && stats.substeps == STEPS);

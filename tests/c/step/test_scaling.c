@@ -178,8 +178,7 @@ static void test_step(void)
                 need(dal__stepper_reaction(plain, h, &expected), "reaction", "");
                 CHECK_NEAR(reaction, expected, 1e-11);
             }
-            dal_stats stats;
-            dal_stepper_stats(stepper, &stats);
+            const dal_stats stats = stats_of(stepper);
             CHECK(stats.scaled == 20 && stats.unscaled == 0 && stats.steps == 20);
             release(system);
         }
@@ -325,7 +324,7 @@ static void test_order(void)
 
 /* ---- where it cannot ------------------------------------------------------------------------ */
 
-static int pendulum(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int swinging(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const double *const edge = ctx;
     (void)t;
@@ -348,7 +347,7 @@ static int slope(double t, const double *q, double *V, double *V_q, double *V_qq
 static dal_system *open_pendulum(double *edge)
 {
     static const double mass = 1.0, state[2] = {0.0, 1.0};
-    const dal_system_def def = {.n = 1, .mass = &mass, .potential = pendulum, .state = state,
+    const dal_system_def def = {.n = 1, .mass = &mass, .potential = swinging, .state = state,
                                 .ctx = edge};
     return new_system(&def);
 }
@@ -596,7 +595,7 @@ static void test_refused(void)
         {.n = 3, .m = 1, .mass = mass, .constraint = contact, .kind = DAL_AFFINE},
         {.n = 3, .m = 1, .mass = mass, .constraint = contact, .kind = DAL_NONLINEAR},
         {.n = 1, .mass = mass, .force = drag},
-        {.n = 1, .mass = mass, .potential = pendulum, .time_dependent = 1}};
+        {.n = 1, .mass = mass, .potential = swinging, .time_dependent = 1}};
     const char *const words[] = {"has affine constraints", "has nonlinear constraints",
                                  "has a force", "dependence on time"};
     for (int i = 0; i < 4; i++) {

@@ -182,27 +182,6 @@ static void test_validation(void)
     CHECK(dal__beta_check(&(dal_scheme){0}, NULL) == DAL_SUCCESS); /* explicit */
 }
 
-/* Never called. */
-static int no_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
-                         double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
-                         void *ctx)
-{
-    return -1;
-}
-
-static int no_force(double t, const double *q, const double *v, const double *u, double *f,
-                    double *f_q, double *f_v, void *ctx)
-{
-    (void)t, (void)q, (void)v, (void)f, (void)f_q, (void)f_v, (void)ctx;
-    return -1;
-}
-
-static int no_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
-                         double *phi_q, double *phi_t, void *ctx)
-{
-    return -1;
-}
-
 /* Of a constant mass with linear constraints and a force of t and q alone, pairs are one stage. */
 static void test_usual(void)
 {
@@ -210,10 +189,10 @@ static void test_usual(void)
     for (int k = 0; k < 6; k++) {
         const dal_system_def def = {
             .n = 2, .m = k >= 4, .mass = k == 1 ? NULL : mass,
-            .lagrangian = k == 1 ? no_lagrangian : NULL,
-            .force = k == 2 || k == 3 ? no_force : NULL, .positional = k == 3,
+            .lagrangian = k == 1 ? never_lagrangian : NULL,
+            .force = k == 2 || k == 3 ? never_force : NULL, .positional = k == 3,
             .kind = k == 4 ? DAL_AFFINE : DAL_LINEAR,
-            .constraint = k >= 4 ? no_constraint : NULL,
+            .constraint = k >= 4 ? never_constraint : NULL,
         };
         dal_system *const system = new_system(&def);
         const bool apart = k == 1 || k == 2 || k == 4;
@@ -244,10 +223,10 @@ static void test_explicit_and_shift(void)
     dal_system_def def = {.n = 2, .mass = mass};
     for (int k = 0; k < 4; k++) {
         def.mass = k == 1 ? NULL : mass;
-        def.lagrangian = k == 1 ? no_lagrangian : NULL;
-        def.force = k == 2 ? no_force : NULL;
+        def.lagrangian = k == 1 ? never_lagrangian : NULL;
+        def.force = k == 2 ? never_force : NULL;
         def.m = k == 3;
-        def.constraint = k == 3 ? no_constraint : NULL;
+        def.constraint = k == 3 ? never_constraint : NULL;
         def.kind = k == 3 ? DAL_NONLINEAR : DAL_LINEAR;
         dal_system *const other = new_system(&def);
         CHECK(dal_scheme_is_explicit(&twice, other) == (k == 0));

@@ -476,13 +476,6 @@ static void refuse(const dal_system_def *def, const char *text)
     check_true(strstr(error.text, text) != NULL, error.text, __FILE__, __LINE__);
 }
 
-static int no_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
-                         double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
-                         void *ctx)
-{
-    return -1;
-}
-
 static void test_refused(void)
 {
     static const double masses[3] = {1, 1, 1}, bad[3] = {1, 0, 1}, heavy[3] = {1, 1, INFINITY};
@@ -516,7 +509,7 @@ static void test_refused(void)
     def.m = 0;
     refuse(&def, "sparsity is given, but m = 0");
     def.sparsity = NULL;
-    def.lagrangian = no_lagrangian;
+    def.lagrangian = never_lagrangian;
     refuse(&def, "lagrangian and masses are both given");
 
     dal_error error = {0};

@@ -543,7 +543,7 @@ static void test_refusals(void)
 /* ---- after a failure ------------------------------------------------------------------------ */
 
 /* V = q^2/2, not a number while that is so. */
-static int spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int sprung(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const bool bad = *(const bool *)ctx;
     if (V) *V = 0.5 * q[0] * q[0];
@@ -559,7 +559,7 @@ static void test_after_failure(void)
                                  "midpoint-kl6"};
     const double mass = 1.0, x0[2] = {1.0, 0.5};
     bool bad = false;
-    const dal_system_def def = {.n = 1, .mass = &mass, .potential = spring, .ctx = &bad};
+    const dal_system_def def = {.n = 1, .mass = &mass, .potential = sprung, .ctx = &bad};
     dal_system *const system = new_system(&def);
     for (size_t j = 0; j < DAL_LENGTH(names); j++)
         for (size_t steps = 0; steps <= 5; steps += 5) {

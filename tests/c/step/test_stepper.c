@@ -24,17 +24,6 @@ enum { BETAS = sizeof betas / sizeof betas[0] };
 
 static dal_scheme beta_scheme(double beta) { return (dal_scheme){.name = "beta", .beta = beta}; }
 
-/* The default state of a system, moved a little and projected onto D. */
-static void state_of(const dal_system *system, double *x)
-{
-    unsigned seed = 7;
-    need(dal_system_state(system, x), "state", "");
-    for (size_t i = 0; i < 2 * dal_system_n(system); i++) x[i] += 0.3 * next_number(&seed);
-    dal_mechanics *const mechanics = open_mechanics(system);
-    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project",
-         dal_mechanics_error(mechanics)->text);
-}
-
 /* steps steps from x0 as it is; x <- the state, reaction (or NULL) <- the mean reaction. */
 static void flow_from(const dal_system *system, const dal_scheme *scheme, double h,
                       dal_initial initial, size_t steps, const double *x0, double *x,
@@ -192,7 +181,7 @@ static void test_equations(void)
     double x[2 * MOST_N];
     for (size_t s = 0; s < SYSTEMS; s++) {
         dal_system *const system = open_system(all_systems[s]);
-        state_of(system, x);
+        moved_state(system, x);
         test_equations_of(system, x);
         test_explicit_reaction(system, x, 0.05);
         test_explicit_reaction(system, x, -0.05);
@@ -210,7 +199,7 @@ static void test_equations(void)
     const char *const names[] = {"pairs"};
     const double pairs = 10.0;
     dal_system *const large = open_builtin("chaotic", 1, names, &pairs);
-    state_of(large, x);
+    moved_state(large, x);
     test_equations_of(large, x);
 }
 
@@ -326,7 +315,7 @@ static void check_inverse(const dal_system *system, const dal_scheme *scheme,
 {
     const size_t n = dal_system_n(system);
     double x0[2 * MOST_N], x1[2 * MOST_N], x[2 * MOST_N], there[MOST_M], back[MOST_M];
-    state_of(system, x0);
+    moved_state(system, x0);
     flow(system, scheme, h, 1, x0, x1, there);
     flow(system, adjoint, -h, 1, x1, x, back);
     const double extent = sum_of_sizes(2 * n, x0) + sum_of_sizes(2 * n, x1);
@@ -374,7 +363,7 @@ static void test_there_and_back(void)
             const dal_scheme scheme = find_scheme(schemes[j]);
             const size_t n = dal_system_n(system);
             double x0[2 * MOST_N], x1[2 * MOST_N], x[2 * MOST_N];
-            state_of(system, x0);
+            moved_state(system, x0);
             flow(system, &scheme, 0.02, STEPS, x0, x1, NULL);
             flow(system, &scheme, -0.02, STEPS, x1, x, NULL);
             const double extent = sum_of_sizes(2 * n, x0) + sum_of_sizes(2 * n, x1);
@@ -398,7 +387,7 @@ static void test_reversibility(void)
                 scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_D : DAL_INITIAL_NONE;
             const bool reacts = strcmp(scheme.name, "reference") != 0;
             double x[2 * MOST_N], y[2 * MOST_N], lambda[MOST_M], mirrored[MOST_M];
-            state_of(system, x);
+            moved_state(system, x);
             memcpy(y, x, 2 * n * sizeof *y);
             for (size_t i = n; i < 2 * n; i++) y[i] = -y[i];
             flow_from(system, &scheme, 0.02, initial, 20, y, y, mirrored);
@@ -426,7 +415,7 @@ static void test_mixing(void)
             const size_t n = dal_system_n(system), m = dal_system_m(system);
             dal_stepper *const two = open_stepper(mixed, &scheme, NULL);
             double x[2 * MOST_N], q[MOST_N], lambda[MOST_M], other[MOST_M], expected[MOST_M];
-            state_of(system, x);
+            moved_state(system, x);
             dal_stepper *const one = start_stepper(system, &scheme, h, x);
             CHECK(dal_stepper_start(two, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
             for (int k = 1; k <= STEPS; k++) {
@@ -455,7 +444,7 @@ static void test_leapfrog_is_midpoint(void)
         dal_system *const system = open_system(names[s]);
         const size_t n = dal_system_n(system), m = dal_system_m(system);
         double x0[2 * MOST_N], x1[2 * MOST_N], x2[2 * MOST_N], one[MOST_M], two[MOST_M];
-        state_of(system, x0);
+        moved_state(system, x0);
         flow(system, &leapfrog, 0.1, STEPS, x0, x1, one);
         flow(system, &midpoint, 0.1, STEPS, x0, x2, two);
         const double error = ROUNDOFF * STEPS * sum_of_sizes(2 * n, x1);
@@ -512,7 +501,7 @@ static void test_own_record(void)
         const dal_scheme own = {.name = "own", .count = 2, .substeps = parts};
         const dal_scheme first = beta_scheme(0.3), second = beta_scheme(0.7);
         double x0[2 * MOST_N], x1[2 * MOST_N], reaction[MOST_M], l1[MOST_M], l2[MOST_M];
-        state_of(system, x0);
+        moved_state(system, x0);
         dal_stepper *const stepper = open_stepper(system, &own, NULL);
         parts[0].beta = parts[1].beta = 0.5;
         CHECK(dal_stepper_start(stepper, 0.0, h, x0, DAL_ASSUME, DAL_INITIAL_NONE) == 0);
@@ -532,7 +521,7 @@ static void test_own_record(void)
         check_inverse(system, &own, &own, h, false);
         const dal_scheme named = find_scheme("0.3");
         flow(system, &own, h, 5, x0, x0, NULL);
-        state_of(system, x1);
+        moved_state(system, x1);
         flow(system, &named, h / 2, 10, x1, x1, NULL);
         CHECK_NEAR(largest_difference(2 * n, x0, x1), 0.0, 5 * error);
         release(system);
@@ -579,7 +568,7 @@ static void check_conjugate(const dal_system *system, double beta, double h)
     kept.nodes = DAL_KEPT_NODES;
     const double shift = (1 - beta) * h;
     double x0[2 * MOST_N], x[2 * MOST_N], y[2 * MOST_N], here[MOST_M], there[MOST_M];
-    state_of(system, x0);
+    moved_state(system, x0);
     for (int jump = 0; jump < 2; jump++) {
         memcpy(y, x0, 2 * n * sizeof *y);
         for (size_t i = 0; jump && i < n; i++) y[i] -= shift * y[n + i];
@@ -605,14 +594,13 @@ static void check_starts(const dal_system *system, double h)
     dal_mechanics *const mechanics = open_mechanics(system);
     dal_stepper *const stepper = open_stepper(system, &kept, NULL);
     double x0[2 * MOST_N], x[2 * MOST_N], distance = NAN;
-    dal_stats stats;
-    state_of(system, x0);
+    moved_state(system, x0);
     memcpy(x, x0, 2 * n * sizeof *x);
     CHECK(dal_project(mechanics, 0.0, shift, x, &distance) == DAL_SUCCESS);
     CHECK(dal_stepper_start(stepper, 0.0, h, x0, DAL_CHECK, DAL_INITIAL_PROJECT) == DAL_SUCCESS);
     CHECK_NEAR(largest_difference(2 * n, dal_stepper_state(stepper), x), 0.0,
                ROUNDOFF * sum_of_sizes(2 * n, x));
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     CHECK_NEAR(stats.initial_correction, distance, ROUNDOFF * sum_of_sizes(2 * n, x));
 
     CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_D_EPS) == DAL_SUCCESS);
@@ -682,7 +670,6 @@ static void test_starts(void)
     dal_stepper *const nodes = open_stepper(system, &kept, NULL);
     double x0[6], off[6], lambda = 7.0;
     size_t done = 9;
-    dal_stats stats;
     CHECK(dal_system_state(system, x0) == 0);
 
     CHECK(dal_step(stepper, &lambda) == DAL_EINVAL && lambda == 7.0);
@@ -727,7 +714,7 @@ static void test_starts(void)
     off[5] += 1e-9;
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, off, DAL_CHECK, DAL_INITIAL_NONE) == DAL_SUCCESS);
     CHECK(residual_of(system, 0.0, dal_stepper_state(stepper)) <= DAL_RESIDUAL_BOUND(3));
-    dal_stepper_stats(stepper, &stats);
+    const dal_stats stats = stats_of(stepper);
     CHECK_NEAR(stats.initial_residual, 1e-9 / 1.3, 1e-9 * 1e-6);
     CHECK_NEAR(stats.initial_correction, 1e-9 / sqrt(1.09), 1e-9 * 1e-6);
     off[5] = x0[5] + 0.5; /* Z C^-1 mu v = (-y, 0, 1) 0.5 / (1 + y^2) */
@@ -822,8 +809,7 @@ static void test_multiroot(void)
             const dal_initial initial =
                 scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE;
             double x0[2 * MOST_N], x[2 * MOST_N], lambda[MOST_M], other[MOST_M];
-            dal_stats stats;
-            state_of(system, x0);
+            moved_state(system, x0);
             dal_stepper *const slow = open_stepper_by(BY_MULTIROOT, system, &scheme);
             CHECK(dal_stepper_start(slow, 0.0, 0.05, x0, DAL_ASSUME, initial) == 0);
             CHECK(dal_step(slow, other) == DAL_SUCCESS);
@@ -831,7 +817,7 @@ static void test_multiroot(void)
             const double extent = sum_of_sizes(2 * n, x);
             CHECK_NEAR(largest_difference(2 * n, dal_stepper_state(slow), x), 0.0, 64 * U * extent);
             CHECK_NEAR(largest_difference(m, other, lambda), 0.0, 256 * U * extent / 0.05);
-            dal_stepper_stats(slow, &stats);
+            const dal_stats stats = stats_of(slow);
             CHECK(stats.steps == 1 && stats.iterations > 0 && dal_stepper_time(slow) == 0.05);
             release(system);
         }
@@ -1040,7 +1026,6 @@ static void test_looks(void)
     const dal_system_def def = {.n = 1, .mass = mass, .potential = watched_spring, .ctx = &w};
     dal_stepper *const stepper = start_named(new_system(&def), "leapfrog", 1.0, x0);
     for (size_t at_once = 1; at_once <= 200; at_once += 9) {
-        dal_stats stats;
         double kinetic = 0.0;
         CHECK(dal_stepper_start(stepper, 0.0, 1.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         for (size_t steps = 0; steps < 200; steps += at_once) {
@@ -1048,7 +1033,7 @@ static void test_looks(void)
             const double v = dal_stepper_state(stepper)[1];
             if (steps + at_once == 64) kinetic = 0.5 * v * v;
         }
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK(stats.jump_step == 64);
         CHECK(kinetic == 0.0 || stats.largest_kinetic == kinetic);
     }
@@ -1077,11 +1062,10 @@ static void test_predictions(void)
         const dal_scheme scheme = find_scheme(cases[i].scheme);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         double x[16];
-        dal_stats stats;
         CHECK(dal_system_state(system, x) == 0);
         CHECK(dal_stepper_start(stepper, 0.0, cases[i].h, x, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
         CHECK(dal_advance(stepper, 400, NULL, NULL) == 0);
-        dal_stepper_stats(stepper, &stats);
+        const dal_stats stats = stats_of(stepper);
         CHECK((double)stats.constraint_calls < cases[i].most * (double)stats.substeps);
         release(system);
     }

@@ -7,7 +7,7 @@
 enum { MOST_N = 8, MOST_M = 4 };
 
 /* g = v_x v_y */
-static int product(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
+static int scaled(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
                    double *g_t, void *ctx)
 {
     const double *const factor = ctx;
@@ -53,7 +53,8 @@ static void test_vectors(void)
     dal_system *const base = open_system("particle");
     double one = 1.0;
     for (int k = 0; k < 2; k++) {
-        dal_system *const system = open_deformed(base, product, &one, expected[k].delta, DAL_NONLINEAR, 0);
+        dal_system *const system = open_deformed(base, scaled, &one, expected[k].delta,
+                                                 DAL_NONLINEAR, 0);
         dal_mechanics *const mech = open_mechanics(system);
         const double x[6] = {0.5, 0.3, -0.2, 1.0, 0.7, expected[k].v_z};
         double C, lambda = NAN, vdot[3], residual, power[2];
@@ -156,7 +157,7 @@ static void test_flow(void)
 {
     dal_system *const base = open_system("particle_oscillator");
     double two = 2.0;
-    dal_system *const system = open_deformed(base, product, &two, 0.15, DAL_NONLINEAR, 0);
+    dal_system *const system = open_deformed(base, scaled, &two, 0.15, DAL_NONLINEAR, 0);
     dal_mechanics *const mech = open_mechanics(system);
     double x[6], E[5], power, residual;
     const double d = 1e-2;
@@ -210,7 +211,7 @@ static void test_kept_nodes(const char *name)
         }
         if (strcmp(name, "particle") == 0 && s == 0) {
             double one = 1.0;
-            dal_system *const same = open_deformed(base, product, &one, h / 2, DAL_NONLINEAR, 0);
+            dal_system *const same = open_deformed(base, scaled, &one, h / 2, DAL_NONLINEAR, 0);
             dal_mechanics *const other = open_mechanics(same);
             double a[6], b[6];
             CHECK(dal_field(mech, 0.0, dal_stepper_state(stepper), a) == 0);
@@ -271,8 +272,8 @@ static void test_general_base(void)
     double factor = 0.5;
     dal_error error;
     base = new_system(&def);
-    system = open_deformed(base, product, &factor, 0.2, DAL_NONLINEAR, 0);
-    again = open_deformed(system, product, &factor, -0.2, DAL_NONLINEAR, 0); /* back to the base */
+    system = open_deformed(base, scaled, &factor, 0.2, DAL_NONLINEAR, 0);
+    again = open_deformed(system, scaled, &factor, -0.2, DAL_NONLINEAR, 0); /* back to the base */
     CHECK(dal_system_is_forced(system) && mass_of(system) == NULL);
     test_derivatives(system);
     dal_mechanics *const mech = open_mechanics(base), *const twice = open_mechanics(again);
@@ -282,9 +283,9 @@ static void test_general_base(void)
     CHECK_NEAR(largest_difference(6, a, b), 0.0, 64 * U);
     CHECK(dal_power(twice, 0.0, x, NULL, &power) == 0);
     CHECK_NEAR(power, -0.1 * dal__dot(3, x + 3, x + 3), 8 * U);
-    CHECK(dal_system_deform(&again, base, tilt, NULL, 0.1, DAL_LINEAR, 0, &error) == DAL_EINVAL);
+    dal_system *none = NULL;
+    CHECK(dal_system_deform(&none, base, tilt, NULL, 0.1, DAL_LINEAR, 0, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "kind = 0") != NULL);
-    dal_system_free(again);
 }
 
 /* A base or a deformation that fails, fails the deformed system. */
@@ -292,13 +293,6 @@ static int failing(double t, const double *q, const double *v, double *g, double
                    double *g_t, void *ctx)
 {
     return *(const int *)ctx;
-}
-
-/* Never called. */
-static int no_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
-                         double *phi_q, double *phi_t, void *ctx)
-{
-    return -1;
 }
 
 static void test_failures(void)
@@ -312,19 +306,19 @@ static void test_failures(void)
     free_body = new_system(&no_forms);
 #define REFUSED(call, expected, name)                                       \
     CHECK((call) == (expected) && system == NULL && strstr(error.text, name) != NULL)
-    REFUSED(dal_system_deform(NULL, base, product, &one, 0.1, DAL_NONLINEAR, 0, &error), DAL_EINVAL,
+    REFUSED(dal_system_deform(NULL, base, scaled, &one, 0.1, DAL_NONLINEAR, 0, &error), DAL_EINVAL,
             "system is NULL");
-    REFUSED(dal_system_deform(&system, NULL, product, &one, 0.1, DAL_NONLINEAR, 0, &error),
+    REFUSED(dal_system_deform(&system, NULL, scaled, &one, 0.1, DAL_NONLINEAR, 0, &error),
             DAL_EINVAL, "base is NULL");
     REFUSED(dal_system_deform(&system, base, NULL, &one, 0.1, DAL_NONLINEAR, 0, &error), DAL_EINVAL,
             "g is NULL");
-    REFUSED(dal_system_deform(&system, base, product, &one, NAN, DAL_NONLINEAR, 0, &error),
+    REFUSED(dal_system_deform(&system, base, scaled, &one, NAN, DAL_NONLINEAR, 0, &error),
             DAL_EINVAL, "delta = nan");
-    REFUSED(dal_system_deform(&system, base, product, &one, 0.1, (dal_constraint_kind)9, 0, &error),
+    REFUSED(dal_system_deform(&system, base, scaled, &one, 0.1, (dal_constraint_kind)9, 0, &error),
             DAL_EINVAL, "kind = 9");
-    REFUSED(dal_system_deform(&system, base, product, &one, 0.1, DAL_NONLINEAR, 8, &error),
+    REFUSED(dal_system_deform(&system, base, scaled, &one, 0.1, DAL_NONLINEAR, 8, &error),
             DAL_EINVAL, "missing = 0x8");
-    REFUSED(dal_system_deform(&system, free_body, product, &one, 0.1, DAL_NONLINEAR, 0, &error),
+    REFUSED(dal_system_deform(&system, free_body, scaled, &one, 0.1, DAL_NONLINEAR, 0, &error),
             DAL_EINVAL, "no constraints");
     REFUSED(dal_system_deform_nodes(&system, base, INFINITY, &error), DAL_EINVAL, "shift = inf");
     REFUSED(dal_system_deform_nodes(&system, NULL, 0.1, &error), DAL_EINVAL, "base is NULL");
@@ -332,16 +326,17 @@ static void test_failures(void)
     for (size_t n = 63; n <= 64; n++) {
         double many[64 * 64] = {0};
         for (size_t i = 0; i < n; i++) many[i * n + i] = 1.0;
-        const dal_system_def def = {.n = n, .m = n - 1, .mass = many, .constraint = no_constraint,
+        const dal_system_def def = {.n = n, .m = n - 1, .mass = many,
+                                    .constraint = never_constraint,
                                     .missing = DAL_MISSING_PHI_Q};
         dal_system *const large = new_system(&def);
         if (n == 63) {
-            CHECK(dal_system_deform(&system, large, product, &one, 0.1, DAL_LINEAR, 0, NULL) == 0);
+            CHECK(dal_system_deform(&system, large, scaled, &one, 0.1, DAL_LINEAR, 0, NULL) == 0);
             CHECK(dal_system_missing(system) == DAL_MISSING_PHI_Q); /* that of the base */
             dal_system_free(system);
             system = NULL;
         } else {
-            REFUSED(dal_system_deform(&system, large, product, &one, 0.1, DAL_LINEAR, 0, &error),
+            REFUSED(dal_system_deform(&system, large, scaled, &one, 0.1, DAL_LINEAR, 0, &error),
                     DAL_EUNSUPPORTED, "m n = 63 * 64");
         }
         release(large);
