@@ -22,10 +22,6 @@ VECTORS = json.loads((DATA / "vectors.json").read_text(encoding="ascii"))["embed
 Z = np.array([0.5, 0.3, -0.2, 1.0, 0.7])  # xi of the particle: x, y, z, v_x, v_y
 
 
-def numbers(texts):
-    return np.array(texts, dtype=float)
-
-
 def largest(x, y=0.0):
     return float(np.max(np.abs(np.asarray(x) - y)))
 
@@ -42,21 +38,11 @@ def midpoint():
 # ---- numbers -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("numerical", [False, True])
-def test_vectors(numerical):
-    assert len({entry["beta"] for entry in VECTORS}) > 1
+def test_cutoff():
+    """The exponents are rounded, at most 2 cot(pi/10) = 6; C tests the rest of these numbers."""
     for entry in VECTORS:
-        h, beta, tau = (float(Fraction(entry[key])) for key in ("eps", "beta", "tau"))
-        embedding = of_particle(beta, h, order=entry["p"], numerical=numerical)
-        z = numbers(entry["z"])
-        # The exact flow is good to a few u of states of size 1, the reference flow to its 1e-14 for
-        # each step; g has that divided by h^(p+1).
-        state, noise = 1e-13 if numerical else 32 * U, 32 * embedding.noise
-        assert largest(embedding.source(tau, z), numbers(entry["y"])) <= state
-        assert largest(embedding.curve(tau, z), numbers(entry["G_of_z"])) <= state
-        assert largest(embedding.g(tau, z), numbers(entry["g"])) <= noise
-        # The exponents are rounded, at most 2 cot(pi/10) = 6.
-        for value, key in zip(cutoff(tau), ("chi0", "chi1", "dchi0")):
+        values = cutoff(float(Fraction(entry["tau"])))
+        for value, key in zip(values, ("chi0", "chi1", "dchi0"), strict=True):
             assert abs(value - float(entry[key])) <= 64 * U * abs(float(entry[key]))
 
 
@@ -86,10 +72,7 @@ def test_limit_of_small_steps():
 @pytest.mark.parametrize(
     ("name", "scheme", "h"),
     [
-        ("particle", "explicit", 0.1),
-        ("particle", "midpoint", 0.2),
         ("sleigh", "leapfrog", -0.1),
-        ("genmass", "midpoint", 0.1),
         ("ball_on_table", "midpoint", 0.1),
     ],
 )
@@ -251,34 +234,6 @@ def test_only_the_right_perturbed_ode_has_the_scheme_as_its_period_map(particle,
 
 
 # ---- what it measures ----------------------------------------------------------------------
-
-HS = 0.25 / 1.9 ** np.arange(6)  # 0.25 to 0.01
-
-
-@pytest.mark.parametrize(
-    ("name", "scheme", "order"),
-    [
-        ("particle", "explicit", 1),
-        ("sleigh", "leapfrog", 2),
-        ("heisenberg", "midpoint", 2),
-    ],
-)
-def test_bounded_for_the_order_and_only_for_it(name, scheme, order):
-    system = dal.systems.get(name)
-    bounds = {
-        p: np.array([dal.embedding(system, scheme, h, order=p).bound() for h in HS])
-        for p in (order - 1, order, order + 1)
-        if p > 0
-    }
-    assert bounds[order].max() < 1.5 * bounds[order].min()
-    for p, found in bounds.items():
-        slope = np.polyfit(np.log(HS), np.log(found), 1)[0]
-        assert abs(slope - (order - p)) < 0.12
-        # Of whatever p it is made, it measures the order.
-        fit = dal.embedding(system, scheme, 0.25, order=p).measured_order(HS)
-        assert fit.points == len(HS) and abs(fit.slope - order) < 0.12
-    assert dal.embedding(system, scheme, 0.1).meaningful()
-
 
 def test_measured_order_of_a_record_without_a_promise():
     """With beta = 0.3 and 0.7 over half steps each the first order cancels on D."""
