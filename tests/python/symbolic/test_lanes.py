@@ -275,7 +275,7 @@ def fenced():
     return dal.System.from_sympy(free(q) - V, [row])
 
 
-@pytest.mark.parametrize("scheme", ["explicit", "midpoint", "0.3", "leapfrog-kl8"])
+@pytest.mark.parametrize("scheme", [*SCHEMES, "leapfrog", "midpoint-suzuki4"])
 @pytest.mark.parametrize("make, h, size",
                          [(fenced, 0.05, 0.35), (contact_oscillator, 1.5, 1), (pivoting, 0.6, 1)],
                          ids=["domain", "large steps", "pivots"])  # fmt: skip
