@@ -220,6 +220,12 @@ static inline dal_stepper *open_stepper(const dal_system *system, const dal_sche
         dal_stepper_new(&object, system, scheme, options, &error));
 }
 
+static inline dal_stepper *open_named(const dal_system *system, const char *scheme_name)
+{
+    const dal_scheme scheme = find_scheme(scheme_name);
+    return open_stepper(system, &scheme, NULL);
+}
+
 static inline dal_stepper *open_stepper_by(way by, const dal_system *system,
                                            const dal_scheme *scheme)
 {

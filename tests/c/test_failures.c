@@ -1194,28 +1194,21 @@ static void test_null_mechanics(const dal_system *system, const double *x0)
     CHECK(dal_mechanics_new(&mechanics, NULL, NULL) == DAL_EINVAL && mechanics == NULL);
     mechanics = open_mechanics(system);
     dal_mechanics *const mech = mechanics;
-    CHECK(dal_energy(NULL, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_energy(mech, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_energy(mech, 0.0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_residual(NULL, 0.0, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_residual(mech, 0.0, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_residual(mech, 0.0, 0.0, x, NULL) == DAL_EINVAL);
+    static int (*const of_state[])(dal_mechanics *, double, const double *, double *) = {
+        dal_energy, dal_gram, dal_multipliers, dal_acceleration, dal_field};
+    for (size_t k = 0; k < DAL_LENGTH(of_state); k++) {
+        CHECK(of_state[k](NULL, 0.0, x, out) == DAL_EINVAL);
+        CHECK(of_state[k](mech, 0.0, NULL, out) == DAL_EINVAL);
+        CHECK(of_state[k](mech, 0.0, x, NULL) == DAL_EINVAL);
+    }
+    static int (*const residuals[])(dal_mechanics *, double, double, const double *, double *) = {
+        dal_residual, dal_relative_residual};
+    for (size_t k = 0; k < DAL_LENGTH(residuals); k++) {
+        CHECK(residuals[k](NULL, 0.0, 0.0, x, out) == DAL_EINVAL);
+        CHECK(residuals[k](mech, 0.0, 0.0, NULL, out) == DAL_EINVAL);
+        CHECK(residuals[k](mech, 0.0, 0.0, x, NULL) == DAL_EINVAL);
+    }
     CHECK(dal_residual(mech, 0.0, NAN, x, out) == DAL_EINVAL);
-    CHECK(dal_relative_residual(NULL, 0.0, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_relative_residual(mech, 0.0, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_relative_residual(mech, 0.0, 0.0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_gram(NULL, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_gram(mech, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_gram(mech, 0.0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_multipliers(NULL, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_multipliers(mech, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_multipliers(mech, 0.0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_acceleration(NULL, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_acceleration(mech, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_acceleration(mech, 0.0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_field(NULL, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_field(mech, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_field(mech, 0.0, x, NULL) == DAL_EINVAL);
     CHECK(dal_project(NULL, 0.0, 0.0, x, out) == DAL_EINVAL);
     CHECK(dal_project(mech, 0.0, 0.0, NULL, out) == DAL_EINVAL);
     CHECK(dal_project(mech, 0.0, INFINITY, x, out) == DAL_EINVAL);
@@ -1356,73 +1349,67 @@ typedef struct huge {
 
 typedef int (*huge_fn)(huge *a);
 
-#define ASKS(name, call) static int name(huge *a) { return call; }
-ASKS(huge_energy, dal_energy(a->mech, 0.0, a->x, a->out))
-ASKS(huge_power, dal_power(a->mech, a->t, a->x, a->out, a->out + 1))
-ASKS(huge_metric, dal_metric(a->mech, 0.0, a->x, a->out))
-ASKS(huge_residual, dal_residual(a->mech, 0.0, a->shift, a->x, a->out))
-ASKS(huge_relative, dal_relative_residual(a->mech, 0.0, a->shift, a->x, a->out))
-ASKS(huge_gram, dal_gram(a->mech, 0.0, a->x, a->out))
-ASKS(huge_multipliers, dal_multipliers(a->mech, a->t, a->x, a->out))
-ASKS(huge_acceleration, dal_acceleration(a->mech, a->t, a->x, a->out))
-ASKS(huge_field, dal_field(a->mech, a->t, a->x, a->out))
-ASKS(huge_perturbed, dal_perturbed(a->mech, a->t, a->h, a->x, a->ghat, a->out, a->out + 16))
-ASKS(huge_project, dal_project(a->mech, 0.0, a->shift, a->x, a->out))
-ASKS(huge_consistent, dal_consistent(a->mech, 0.0, NULL, a->x, a->out))
-ASKS(huge_equations, dal_step_equations(a->mech, a->t, 0.25, a->h, a->x, a->w, a->kappa, a->out,
-                                        a->out + 8, a->out + 16, a->out + 80, a->out + 120))
-ASKS(huge_trajectory, dal_trajectory(a->mech, a->t, a->h, a->shift, 1, a->x, NULL, a->out,
-                                     a->out + 1, a->out + 9, a->out + 17, NULL))
-ASKS(huge_condition, dal_chart_condition(a->chart, 0.0, a->x, a->out))
-ASKS(huge_renew, dal_chart_renew(a->chart, 0.0, a->x, NULL))
-ASKS(huge_connection, dal_chart_connection(a->chart, 0.0, a->x, a->out, a->out + 64))
-ASKS(huge_split, dal_chart_split(a->chart, 0.0, a->x, a->out, a->out + 8))
-ASKS(huge_lift, dal_chart_lift(a->chart, 0.0, a->x, a->out))
-ASKS(huge_drop, dal_chart_drop(a->chart, a->x, a->out))
-ASKS(huge_jacobian, dal_chart_jacobian(a->chart, 0.0, a->x, a->out, a->out + 200))
-ASKS(huge_chart_field, dal_chart_field(a->chart, a->t, a->x, a->out))
-ASKS(huge_connected, dal_chart_multipliers(a->chart, 0.0, a->x, a->kappa, a->out))
-ASKS(huge_disconnected, dal_chart_multipliers_back(a->chart, 0.0, a->x, a->kappa, a->out))
-ASKS(huge_chart_step, dal_chart_step(a->chart, a->t, 0.5, a->h, a->x, a->out))
-ASKS(huge_curve, dal_chart_curve(a->chart, 0.0, a->x, a->y, 0.4, a->out))
-ASKS(huge_state, dal_discrete_state(a->discrete, a->h, a->x, a->y, a->out))
-ASKS(huge_nodes, dal_discrete_nodes(a->discrete, 0.0, a->h, a->x, a->out, a->out + 8))
-ASKS(huge_lagrangian,
-     dal_discrete_lagrangian(a->discrete, 0.0, a->h, a->x, a->y, a->out, a->out + 1,
-                                              a->out + 9, a->out + 17))
-ASKS(huge_constraint,
-     dal_discrete_constraint(a->discrete, 0.0, a->h, a->x, a->y, a->out, a->out + 8,
-                                              a->out + 72))
-ASKS(huge_momenta, dal_discrete_momenta(a->discrete, a->t, a->h, a->x, a->y, a->out, a->out + 8))
-ASKS(huge_momentum, dal_discrete_momentum(a->discrete, a->t, a->h, a->x, a->y, a->w, a->ghat,
-                                          a->out, a->out + 1))
-ASKS(huge_discrete_residual, dal_discrete_residual(a->discrete, a->t, a->h, a->x, a->y, a->w,
-                                                   a->kappa, a->out))
-ASKS(huge_regularity, dal_discrete_regularity(a->discrete, a->t, a->h, a->x, a->y, a->out, NULL,
-                                              NULL, NULL))
-ASKS(huge_node_step, dal_discrete_step(a->discrete, a->t, a->h, a->x, a->y, a->out))
-ASKS(huge_advance, dal_discrete_advance(a->discrete, a->t, a->h, a->x, a->out))
-ASKS(huge_exact, dal_system_exact(a->mech->eval.system, a->t, a->x, a->out))
-ASKS(huge_invariant, dal_system_invariant(a->mech->eval.system, 0.0, a->x, a->out))
-#undef ASKS
+/* ASK(name, call) for each function. */
+#define EACH_HUGE(ASK) \
+    ASK(energy, dal_energy(a->mech, 0.0, a->x, a->out)) \
+    ASK(power, dal_power(a->mech, a->t, a->x, a->out, a->out + 1)) \
+    ASK(metric, dal_metric(a->mech, 0.0, a->x, a->out)) \
+    ASK(residual, dal_residual(a->mech, 0.0, a->shift, a->x, a->out)) \
+    ASK(relative, dal_relative_residual(a->mech, 0.0, a->shift, a->x, a->out)) \
+    ASK(gram, dal_gram(a->mech, 0.0, a->x, a->out)) \
+    ASK(multipliers, dal_multipliers(a->mech, a->t, a->x, a->out)) \
+    ASK(acceleration, dal_acceleration(a->mech, a->t, a->x, a->out)) \
+    ASK(field, dal_field(a->mech, a->t, a->x, a->out)) \
+    ASK(perturbed, dal_perturbed(a->mech, a->t, a->h, a->x, a->ghat, a->out, a->out + 16)) \
+    ASK(project, dal_project(a->mech, 0.0, a->shift, a->x, a->out)) \
+    ASK(consistent, dal_consistent(a->mech, 0.0, NULL, a->x, a->out)) \
+    ASK(equations, dal_step_equations(a->mech, a->t, 0.25, a->h, a->x, a->w, a->kappa, a->out, \
+        a->out + 8, a->out + 16, a->out + 80, a->out + 120)) \
+    ASK(trajectory, dal_trajectory(a->mech, a->t, a->h, a->shift, 1, a->x, NULL, a->out, \
+        a->out + 1, a->out + 9, a->out + 17, NULL)) \
+    ASK(condition, dal_chart_condition(a->chart, 0.0, a->x, a->out)) \
+    ASK(renew, dal_chart_renew(a->chart, 0.0, a->x, NULL)) \
+    ASK(connection, dal_chart_connection(a->chart, 0.0, a->x, a->out, a->out + 64)) \
+    ASK(split, dal_chart_split(a->chart, 0.0, a->x, a->out, a->out + 8)) \
+    ASK(lift, dal_chart_lift(a->chart, 0.0, a->x, a->out)) \
+    ASK(drop, dal_chart_drop(a->chart, a->x, a->out)) \
+    ASK(jacobian, dal_chart_jacobian(a->chart, 0.0, a->x, a->out, a->out + 200)) \
+    ASK(chart_field, dal_chart_field(a->chart, a->t, a->x, a->out)) \
+    ASK(connected, dal_chart_multipliers(a->chart, 0.0, a->x, a->kappa, a->out)) \
+    ASK(disconnected, dal_chart_multipliers_back(a->chart, 0.0, a->x, a->kappa, a->out)) \
+    ASK(chart_step, dal_chart_step(a->chart, a->t, 0.5, a->h, a->x, a->out)) \
+    ASK(curve, dal_chart_curve(a->chart, 0.0, a->x, a->y, 0.4, a->out)) \
+    ASK(state, dal_discrete_state(a->discrete, a->h, a->x, a->y, a->out)) \
+    ASK(nodes, dal_discrete_nodes(a->discrete, 0.0, a->h, a->x, a->out, a->out + 8)) \
+    ASK(lagrangian, \
+        dal_discrete_lagrangian(a->discrete, 0.0, a->h, a->x, a->y, a->out, a->out + 1, \
+        a->out + 9, a->out + 17)) \
+    ASK(constraint, \
+        dal_discrete_constraint(a->discrete, 0.0, a->h, a->x, a->y, a->out, a->out + 8, \
+        a->out + 72)) \
+    ASK(momenta, dal_discrete_momenta(a->discrete, a->t, a->h, a->x, a->y, a->out, a->out + 8)) \
+    ASK(momentum, dal_discrete_momentum(a->discrete, a->t, a->h, a->x, a->y, a->w, a->ghat, \
+        a->out, a->out + 1)) \
+    ASK(discrete_residual, dal_discrete_residual(a->discrete, a->t, a->h, a->x, a->y, a->w, \
+        a->kappa, a->out)) \
+    ASK(regularity, dal_discrete_regularity(a->discrete, a->t, a->h, a->x, a->y, a->out, NULL, \
+        NULL, NULL)) \
+    ASK(node_step, dal_discrete_step(a->discrete, a->t, a->h, a->x, a->y, a->out)) \
+    ASK(advance, dal_discrete_advance(a->discrete, a->t, a->h, a->x, a->out)) \
+    ASK(exact, dal_system_exact(a->mech->eval.system, a->t, a->x, a->out)) \
+    ASK(invariant, dal_system_invariant(a->mech->eval.system, 0.0, a->x, a->out))
+
+#define FUNCTION(name, call) static int huge_##name(huge *a) { return call; }
+EACH_HUGE(FUNCTION)
+#undef FUNCTION
 
 static const struct {
     const char *name;
     huge_fn ask;
 } huge_questions[] = {
-#define ASKED(name) {#name, huge_##name}
-    ASKED(energy), ASKED(power), ASKED(metric), ASKED(residual),
-    ASKED(relative), ASKED(gram), ASKED(multipliers),
-    ASKED(acceleration), ASKED(field), ASKED(perturbed), ASKED(project),
-    ASKED(consistent), ASKED(equations), ASKED(trajectory),
-    ASKED(condition), ASKED(renew), ASKED(connection), ASKED(split),
-    ASKED(lift), ASKED(drop), ASKED(jacobian), ASKED(chart_field),
-    ASKED(connected), ASKED(disconnected), ASKED(chart_step),
-    ASKED(curve), ASKED(state), ASKED(nodes), ASKED(lagrangian),
-    ASKED(constraint), ASKED(momenta), ASKED(momentum),
-    ASKED(discrete_residual), ASKED(regularity), ASKED(node_step),
-    ASKED(advance), ASKED(exact), ASKED(invariant),
-#undef ASKED
+#define ROW(name, call) {#name, huge_##name},
+    EACH_HUGE(ROW)
+#undef ROW
 };
 
 /* Of any size up to the largest; small ones and zeros too. */

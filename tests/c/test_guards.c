@@ -577,13 +577,12 @@ static int quartic(double t, const double *q, double *V, double *V_q, double *V_
 }
 
 static dal_stepper *start_in_line(dal_potential_fn V, double *k, double beta, double h,
-                                  const double *x, dal_system **system)
+                                  const double *x)
 {
     static const double mass[1] = {1.0};
     const dal_system_def def = {.n = 1, .mass = mass, .potential = V, .ctx = k};
     const dal_scheme scheme = {.name = "line", .beta = beta};
-    *system = new_system(&def);
-    return start_stepper(*system, &scheme, h, x);
+    return start_stepper(new_system(&def), &scheme, h, x);
 }
 
 /* The largest error of v' - v = -h (beta V_q(q) + (1-beta) V_q(q')) in steps, in roundings of what
@@ -593,8 +592,7 @@ static double worst_balance(dal_potential_fn V, double *k, double beta, double h
     enum { STEPS = 1000 };
     const double start[2] = {q, 0.3};
     double x[2], worst = 0.0, before, after;
-    dal_system *system = NULL;
-    dal_stepper *const stepper = start_in_line(V, k, beta, h, start, &system);
+    dal_stepper *const stepper = start_in_line(V, k, beta, h, start);
     const double *const y = dal_stepper_state(stepper);
     for (int step = 0; step < STEPS; step++) {
         memcpy(x, y, sizeof x);
@@ -631,13 +629,12 @@ static void test_energy_of_spring(void)
     const double steps[] = {0.014784, 0.0338851, 0.104079}, x[2] = {1.0, 0.3};
     for (size_t j = 0; j < 3; j++) {
         double k = 1.0;
-        dal_system *system = NULL;
-        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, steps[j], x, &system);
+        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, steps[j], x);
         CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
         const double *const y = dal_stepper_state(stepper);
         const real change = ((real)y[0] * y[0] + (real)y[1] * y[1]) / 1.09L - 1.0L;
         CHECK_NEAR((double)change / U, 0.0, 20.0 * sqrt((double)STEPS));
-        release(system);
+        release(stepper);
     }
 }
 
@@ -650,14 +647,13 @@ static void test_corrections(void)
     for (size_t j = 0; j < 3; j++) {
         const double c = contraction[j];
         double k = 4.0 * c;
-        dal_system *system = NULL;
-        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x, &system);
+        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x);
         CHECK(dal_step(stepper, NULL) == 0);
         const dal_stats stats = stats_of(stepper);
         CHECK(stats.full_newtons == (j > 0));
         CHECK(j == 1 ? stats.iterations > 10 : stats.iterations <= 9);
         CHECK_NEAR(dal_stepper_state(stepper)[1], (0.5 * (1.0 - c) - k) / (1.0 + c), 8 * U);
-        release(system);
+        release(stepper);
     }
 }
 
@@ -667,13 +663,12 @@ static void test_stop(void)
     for (double c = 0.001; c < 0.01; c += 0.001) {
         double k = 4.0 * c;
         const double x[2] = {1.0, k / (1.0 - c)};
-        dal_system *system = NULL;
-        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x, &system);
+        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x);
         CHECK(dal_step(stepper, NULL) == 0);
         const dal_stats stats = stats_of(stepper);
         CHECK(stats.full_newtons == 0);
         CHECK_NEAR(dal_stepper_state(stepper)[1], 0.0, 4 * U * k);
-        release(system);
+        release(stepper);
     }
 }
 
@@ -692,13 +687,12 @@ static void test_negative_spring(void)
     for (size_t j = 0; j < sizeof cases / sizeof *cases; j++) {
         const double x[2] = {1.0, 0.5}, c = cases[j].c;
         double k = 4.0 * c;
-        dal_system *system = NULL;
-        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x, &system);
+        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x);
         CHECK(dal_step(stepper, NULL) == cases[j].status);
         CHECK(strstr(dal_stepper_error(stepper)->text, cases[j].words) != NULL);
         if (!cases[j].status)
             CHECK_NEAR(dal_stepper_state(stepper)[1], (0.5 * (1.0 - c) - k) / (1.0 + c), 400 * U);
-        release(system);
+        release(stepper);
     }
 }
 
@@ -746,15 +740,14 @@ static int towards_an_end(double t, const double *q, double *V, double *V_q, dou
     return 0;
 }
 
-static dal_stepper *start_on_slope(slope *s, int iterations, double v, dal_system **system)
+static dal_stepper *start_on_slope(slope *s, int iterations, double v)
 {
     static const double mass[1] = {1.0};
     const double x[2] = {1.0, v};
     const dal_system_def def = {.n = 1, .mass = mass, .potential = towards_an_end, .ctx = s};
     const dal_scheme scheme = find_scheme("midpoint");
     const dal_options options = {.max_iterations = iterations};
-    *system = new_system(&def);
-    dal_stepper *const stepper = open_stepper(*system, &scheme, &options);
+    dal_stepper *const stepper = open_stepper(new_system(&def), &scheme, &options);
     CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     return stepper;
 }
@@ -769,22 +762,21 @@ static void test_halvings(void)
         int status;
     } cases[] = {{10, 0.5, 0}, {100, 0.5, 0}, {1000, 0.5, 0}, {3.8, 3e-4, 0},
                  {1e4, 0.5, DAL_EDOMAIN}};
-    dal_system *system = NULL;
     dal_stats stats;
     for (size_t j = 0; j < sizeof cases / sizeof *cases; j++) {
         slope s = {.G = cases[j].G, .g = cases[j].g};
         const real b = s.G - s.g / 2.0L - 2.0L, c = -s.g / 2.0L;
         const real exact = 2.0L * (-2.0L * c / (b + sqrtl(b * b - 8.0L * c)) - 1.0L);
-        dal_stepper *const stepper = start_on_slope(&s, 0, 0.0, &system);
+        dal_stepper *const stepper = start_on_slope(&s, 0, 0.0);
         CHECK(dal_step(stepper, NULL) == cases[j].status);
         dal_stepper_stats(stepper, &stats);
         CHECK(cases[j].status ? stats.halvings == 40 : stats.halvings > 0 && stats.halvings < 40);
         if (!cases[j].status)
             CHECK_NEAR(dal_stepper_state(stepper)[1], (double)exact, 8 * U * s.G);
-        release(system);
+        release(stepper);
     }
     slope s = {.G = 1.0, .g = 0.5}; /* where it starts is out of the domain: nothing to halve */
-    dal_stepper *const stepper = start_on_slope(&s, 0, -3.0, &system);
+    dal_stepper *const stepper = start_on_slope(&s, 0, -3.0);
     CHECK(dal_step(stepper, NULL) == DAL_EDOMAIN);
     dal_stepper_stats(stepper, &stats);
     CHECK(stats.full_newtons == 1 && stats.halvings == 0);
@@ -796,8 +788,7 @@ static void test_too_few_iterations(void)
 {
     slope s = {.G = 1.0, .g = 0.9};
     for (int most = 1; most <= 4; most++) {
-        dal_system *system = NULL;
-        dal_stepper *const stepper = start_on_slope(&s, most, 0.0, &system);
+        dal_stepper *const stepper = start_on_slope(&s, most, 0.0);
         const double first = (s.G - s.g) / (1.0 + s.g / 4.0);
         double change = 0.0, scale = 0.0;
         int made = 0;
@@ -810,7 +801,7 @@ static void test_too_few_iterations(void)
             if (most == 1) CHECK_NEAR(change, first, 1e-2 * first);
             if (most == 1) CHECK_NEAR(scale, first + (s.G - s.g), 1e-2 * scale);
         }
-        release(system);
+        release(stepper);
     }
 }
 
@@ -822,15 +813,14 @@ static void test_led_away(void)
         const double v = 0.5, x[2] = {1.0, v}, end = 1.0 + h * v;
         const double K = 1.0 + h * h / 4.0 * cos(end), F = h / 2.0 * (sin(1.0) + sin(end));
         double far = 0.0, first = 0.0, scale = 0.0;
-        dal_system *system = NULL;
-        dal_stepper *const stepper = start_in_line(pendulum, NULL, 0.5, h, x, &system);
+        dal_stepper *const stepper = start_in_line(pendulum, NULL, 0.5, h, x);
         CHECK(dal_step(stepper, NULL) == DAL_ENOCONV);
         const char *const text = strstr(dal_stepper_error(stepper)->text, "add up to");
         CHECK(text && sscanf(text, "add up to %lf, the first was %lf (size of the unknowns %lf)",
                              &far, &first, &scale) == 3);
         CHECK_NEAR(first, fabs(F / K), 1e-2 * first);
         CHECK(far > 2.0 * first && scale > 0.0);
-        release(system);
+        release(stepper);
     }
 }
 
@@ -1071,8 +1061,7 @@ static void test_consistent(void)
                             {0.0, -1.0, 0.0, 0.0, 1.0, 1e-13}};
     const int expected[4] = {DAL_SUCCESS, DAL_EOFFD, DAL_SUCCESS, DAL_EOFFD};
     dal_system *const system = open_system("particle");
-    const dal_scheme scheme = find_scheme("endpoint");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "endpoint");
     for (size_t j = 0; j < 4; j++)
         CHECK(dal_stepper_start(stepper, 0.0, 0.1, x[j], DAL_CHECK, DAL_INITIAL_NONE)
               == expected[j]);

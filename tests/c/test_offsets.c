@@ -211,8 +211,7 @@ static void test_tight(void)
     track a = plain(RAMP, 0.0);
     dal_system *const system = open_track(&a);
     dal_mechanics *const mechanics = open_mechanics(system);
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "midpoint");
     double x[2 * N] = {1e15, 0.25, -1e15, 1.0, 1.0, 0.5 + 1e-6}, moved;
     CHECK_NEAR(residual_at(system, 1e15, 0.0, x), 1e-6 / 2.0, 1e-15);
     CHECK(dal_stepper_start(stepper, 1e15, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EOFFD);
@@ -240,8 +239,7 @@ static void test_velocities(shape shape, double c)
     CHECK(dal_chart_drop(chart, x, xi) == DAL_SUCCESS);
     CHECK(dal_chart_lift(chart, t, xi, x) == DAL_SUCCESS);
     CHECK(fabs(exact_phi(&a, t, x, &size)) <= 4 * N * U * size);
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "midpoint");
     double t0 = begin(&a, x), *const rounded = is_timed(shape) ? &t0 : &x[1];
     *rounded = nextafter(*rounded, HUGE_VAL);
     CHECK(dal_stepper_start(stepper, t0, 0.01, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_SUCCESS);

@@ -423,8 +423,7 @@ static void test_fused(void)
     const variety *const a = &varieties[0];
     const double t = 0.8, h = 0.1;
     dal_system *const system = open_skate(a, 0);
-    const dal_scheme scheme = find_scheme("leapfrog");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "leapfrog");
     double x[2 * N], q[N], mu[N], lambda;
     state_at(&a->s, t, x);
     CHECK(dal_stepper_start(stepper, t, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
@@ -480,10 +479,9 @@ static void test_runs(const variety *a)
 static void test_same_steps(void)
 {
     double x[2 * N], end[2][2 * N];
-    const dal_scheme scheme = find_scheme("midpoint-kl6");
     for (int k = 0; k < 2; k++) {
         dal_system *const system = open_skate(&varieties[k], 0);
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        dal_stepper *const stepper = open_named(system, "midpoint-kl6");
         state_at(&varieties[k].s, 0.5, x);
         CHECK(dal_stepper_start(stepper, 0.5, 0.05, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_advance(stepper, 100, NULL, NULL) == 0);

@@ -613,9 +613,8 @@ static void test_probes(void)
                                     .lagrangian = lacking == 2 ? forgetful_lagrangian
                                                                : curved_lagrangian,
                                     .constraint = curved_constraint, .ctx = &forgets};
-        const dal_scheme scheme = find_scheme("explicit");
         dal_system *const system = new_system(&def);
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        dal_stepper *const stepper = open_named(system, "explicit");
         const int status = dal_stepper_start(stepper, 2.0, 0.1, curved_start, DAL_PROJECT,
                                              DAL_INITIAL_NONE);
         CHECK(status == (lacking ? DAL_EDOMAIN : DAL_SUCCESS));
@@ -908,8 +907,7 @@ static void test_guess_after_failure(void)
 static void test_guess_of_velocities(void)
 {
     dal_system *const system = open_curved(0, false);
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "midpoint");
     CHECK(dal_stepper_start(stepper, 0.0, 0.09, curved_start, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
     CHECK(dal_advance(stepper, 100, NULL, NULL) == 0);
     CHECK(stats_of(stepper).iterations < 600); /* without the changes before it is 732 */
@@ -1086,8 +1084,7 @@ static void test_bowl(void)
         const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = bowl,
                                     .ctx = shape};
         dal_system *const system = new_system(&def);
-        const dal_scheme scheme = find_scheme(names[start % 5]);
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        dal_stepper *const stepper = open_named(system, names[start % 5]);
         for (int i = 0; i < 6; i++) x[i] = next_number(&seed);
         x[1] = -0.5 * fabs(x[1]);
         x[4] = 0.3 + fabs(x[4]);

@@ -54,8 +54,7 @@ static void test_run(void)
         output = cases[i].output;
         entry = cases[i].entry;
         dal_system *const system = make();
-        const dal_scheme midpoint = find_scheme("midpoint");
-        dal_stepper *const stepper = open_stepper(system, &midpoint, NULL);
+        dal_stepper *const stepper = open_named(system, "midpoint");
         need(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE), "start", "");
         const dal_error *const error = dal_stepper_error(stepper);
         CHECK(error->text[0] == '\0' && !error->output && error->status == DAL_SUCCESS);

@@ -540,8 +540,7 @@ static void test_resuming(const dal_system *ball)
             dal_events_save(events, of_events);
             dal_events_free(events);
             release(stepper);
-            const dal_scheme record = find_scheme("leapfrog-kl6");
-            run.stepper = stepper = open_stepper(ball, &record, NULL);
+            run.stepper = stepper = open_named(ball, "leapfrog-kl6");
             CHECK(dal_stepper_restore(stepper, values, count) == 0);
             run.events = events = events_of(stepper, "leapfrog-kl6", list, 2);
             CHECK(dal_events_restore(events, of_events, 10, NULL) == 0);

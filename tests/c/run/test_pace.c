@@ -26,8 +26,7 @@ static void begin(dal_stepper *stepper, const dal_system *system, double t0, dou
 /* x[2n] <- the state at t by the flow of the ODE. */
 static void flow_to(const dal_system *system, double t, double *x)
 {
-    const dal_scheme reference = find_scheme("reference");
-    dal_stepper *const stepper = open_stepper(system, &reference, NULL);
+    dal_stepper *const stepper = open_named(system, "reference");
     begin(stepper, system, 0.0, t);
     need(dal_step(stepper, NULL), "reference", dal_stepper_error(stepper)->text);
     memcpy(x, dal_stepper_state(stepper), 2 * dal_system_n(system) * sizeof *x);
@@ -285,8 +284,7 @@ static void test_saved(void)
     dal_stepper *const one = controlled(system, "leapfrog-kl6", 1e-7);
     dal_stepper *const other = controlled(system, "leapfrog-kl6", 1e-7);
     dal_stepper *const strange = controlled(system, "leapfrog-kl6", 1e-6);
-    const dal_scheme kl6 = find_scheme("leapfrog-kl6");
-    dal_stepper *const plain = open_stepper(system, &kl6, NULL);
+    dal_stepper *const plain = open_named(system, "leapfrog-kl6");
     const size_t count = dal_stepper_saved(one), N = 2 * dal_system_n(system);
     double values[SAVED], bad[SAVED];
     CHECK(count <= SAVED);

@@ -424,8 +424,7 @@ static void test_saved(void)
     dal_stepper *const one = reversible(system, "bm6", 0.125);
     dal_stepper *const other = reversible(system, "bm6", 0.125);
     dal_stepper *const strange = reversible(system, "bm6", 0.1);
-    const dal_scheme bm6 = find_scheme("bm6");
-    dal_stepper *const plain = open_stepper(system, &bm6, NULL);
+    dal_stepper *const plain = open_named(system, "bm6");
     const size_t count = dal_stepper_saved(one), N = 2 * dal_system_n(system);
     double values[SAVED], bad[SAVED], x[MOST_2N];
     CHECK(count <= SAVED);

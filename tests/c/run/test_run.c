@@ -344,10 +344,9 @@ static void test_pending(void)
     double steepness = 4e307;
     const dal_system_def def = {.n = 2, .m = 1, .mass = mass, .potential = slope,
                                 .constraint = still, .ctx = &steepness};
-    const dal_scheme scheme = find_scheme("explicit");
     double x[4 * 4], reactions[3];
     dal_system *const system = new_system(&def);
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "explicit");
     need(dal_stepper_start(stepper, 0.0, 0.5, x0, DAL_CHECK, DAL_INITIAL_NONE), "still", "");
     fill(DAL_LENGTH(x), x);
     dal_run run = {.stepper = stepper, .steps = 30, .stride = 10, .x = x,
@@ -424,8 +423,7 @@ static void test_watch(void)
 static void test_arguments(void)
 {
     dal_system *const system = open_system("disk");
-    const dal_scheme leapfrog = find_scheme("leapfrog");
-    dal_stepper *const fresh = open_stepper(system, &leapfrog, NULL);
+    dal_stepper *const fresh = open_named(system, "leapfrog");
     dal_stepper *const stepper = start_at(system, "leapfrog", 0.0, 0.1, NULL);
     double x[N2], before[N2];
     size_t done = 99;
@@ -469,9 +467,8 @@ static void test_failure(void)
     dal_system *const system = new_system(&def);
     const char *const schemes[] = {"explicit", "midpoint", "leapfrog-yoshida4"};
     for (size_t j = 0; j < 3; j++) {
-        const dal_scheme scheme = find_scheme(schemes[j]);
         dal_stepper *const stepper = start_at(system, schemes[j], 0.0, 0.1, NULL);
-        dal_stepper *const other = open_stepper(particle, &scheme, NULL);
+        dal_stepper *const other = open_named(particle, schemes[j]);
         double x[(STEPS + 1) * 6], reactions[STEPS], x0[6], mean = NAN;
         size_t done = 99, good = 99;
         CHECK(dal_system_state(system, x0) == 0);
@@ -655,9 +652,8 @@ static void test_error(void)
     static const double masses[2] = {1.0, 1.0}, x[4] = {1.0, 0.0, 0.0, 0.0}, h = 0.3;
     const dal_system_def def = {.n = 2, .m = 1, .constraint = in_line, .masses = masses,
                                 .potential = on_spring};
-    const dal_scheme scheme = find_scheme("leapfrog");
     dal_system *const system = new_system(&def);
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "leapfrog");
     dal_stats stats;
     for (int unchecked = 0; unchecked <= 1; unchecked++) {
         dal_run run = {.stepper = stepper, .steps = LONG, .stride = LONG, .unchecked = unchecked};

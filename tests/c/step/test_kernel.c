@@ -358,8 +358,7 @@ static void test_overflow(void)
                                 .compiled = &level};
     const double x[6] = {0.0, 0.0, 0.0, 1.0, -2.0, 1e307};
     dal_system *const system = new_system(&def);
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "midpoint");
     CHECK(dal_stepper_start(stepper, 0.0, 8.0, x, DAL_ASSUME, DAL_INITIAL_NONE) == 0);
     size_t done = 0;
     CHECK(dal_advance(stepper, 5, NULL, &done) == DAL_EDOMAIN && done == 2);
@@ -427,9 +426,8 @@ static void test_false_declaration_of_two(void)
     const double x[6] = {0.5, 0.0, 0.0, -0.5, 1.0, 0.0};
     const dal_system_def def = {.n = 3, .m = 2, .mass = mass, .constraint = two_forms,
                                 .steady = DAL_STEADY_DECLARED};
-    const dal_scheme scheme = find_scheme("midpoint");
     dal_system *const system = new_system(&def);
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "midpoint");
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(stepper)->text, "mu depends on coordinate 0") != NULL);
 }
@@ -444,8 +442,7 @@ static void test_false_declaration(void)
     def.constraint = beside;
     def.steady = DAL_STEADY_DECLARED;
     dal_system *const system = new_system(&def);
-    const dal_scheme scheme = find_scheme("leapfrog");
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "leapfrog");
     double x[6] = {0.0, 0.0, 0.3, 1.0, 0.0, 0.0};
     CHECK(dal_stepper_start(stepper, 0.0, 0.01, x, DAL_PROJECT, DAL_INITIAL_NONE) == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(stepper)->text, "mu depends on coordinate 2") != NULL);

@@ -35,7 +35,7 @@ static dal_system *open_cart(void)
     return new_system(&def);
 }
 
-static dal_system *open_named(const char *name)
+static dal_system *open_own(const char *name)
 {
     return strcmp(name, "cart") == 0 ? open_cart() : open_system(name);
 }
@@ -62,7 +62,7 @@ static dal_stepper *started(way by, const dal_system *system, const char *scheme
 static void test_same_steps(const char *name, const char *scheme, double h)
 {
     enum { STEPS = 12 };
-    dal_system *const system = open_named(name);
+    dal_system *const system = open_own(name);
     const size_t N = 2 * dal_system_n(system);
     dal_stepper *by[WAYS];
     for (way w = BY_LIBRARY; w < WAYS; w++) by[w] = started(w, system, scheme, h, NULL);
@@ -87,7 +87,7 @@ static void test_cost(double turns)
 {
     enum { STEPS = 2000, ANGLE = 2 }; /* the first coordinate that is one */
     for (int i = 0; i < 2; i++) {
-        dal_system *const system = open_named(i == 0 ? "sleigh_contact" : "n_trailer");
+        dal_system *const system = open_own(i == 0 ? "sleigh_contact" : "n_trailer");
         dal_stepper *const stepper = started(BY_LIBRARY, system, "midpoint", 0.01, NULL);
         const size_t n = dal_system_n(system);
         double x[MOST_2N];
@@ -198,8 +198,7 @@ static void test_indefinite(void)
     const double x[2] = {1.2, 1.0};
     dal_system *const system = new_system(&def);
     for (size_t i = 0; i < DAL_LENGTH(some); i++) {
-        const dal_scheme scheme = find_scheme(some[i]);
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        dal_stepper *const stepper = open_named(system, some[i]);
         int status = dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE);
         while (status == DAL_SUCCESS) { /* no step begins where there is no mass */
             const double M = cos(dal_stepper_state(stepper)[0]);
@@ -348,10 +347,9 @@ static void test_false_declaration(void)
     dal_system_def def = cart->def;
     dal_system *system = NULL;
     dal_error error;
-    const dal_scheme scheme = find_scheme("leapfrog");
     def.positional = 1;
     system = new_system(&def);
-    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stepper *const stepper = open_named(system, "leapfrog");
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, def.state, DAL_CHECK, DAL_INITIAL_NONE)
           == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(stepper)->text, "positional, but f[0] is") != NULL);

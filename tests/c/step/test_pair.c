@@ -142,9 +142,8 @@ static void test_beta(void)
         for (size_t j = 0; j < DAL_LENGTH(pairs); j++) {
             dal_system *const system = open(names[s]);
             const size_t N = 2 * dal_system_n(system), m = dal_system_m(system);
-            const dal_scheme beta = find_scheme(betas[j]), pair = find_scheme(pairs[j]);
-            dal_stepper *const one = open_stepper(system, &beta, NULL);
-            dal_stepper *const two = open_stepper(system, &pair, NULL);
+            dal_stepper *const one = open_named(system, betas[j]);
+            dal_stepper *const two = open_named(system, pairs[j]);
             double first[MOST_M], second[MOST_M];
             start(one, system, h);
             start(two, system, h);

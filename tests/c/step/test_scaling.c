@@ -165,8 +165,7 @@ static void test_step(void)
             dal_system *const system = open_own(which);
             dal_mechanics *const mechanics = open_mechanics(system);
             dal_stepper *const stepper = keeping(system, schemes[s]);
-            const dal_scheme record = find_scheme(schemes[s]);
-            dal_stepper *const plain = open_stepper(system, &record, NULL);
+            dal_stepper *const plain = open_named(system, schemes[s]);
             double x[6], reaction, expected;
             begin(stepper, NULL, h);
             memcpy(x, dal_stepper_state(stepper), sizeof x);
@@ -236,11 +235,10 @@ static void test_kept(void)
                                  : strcmp(name, "gyroscopic") == 0 ? open_own(GYROSCOPIC)
                                                                    : open_system(name);
         dal_mechanics *const mechanics = open_mechanics(system);
-        const dal_scheme record = find_scheme(runs[r].scheme);
         const size_t n = dal_system_n(system);
         dal_stepper *const stepper = keeping(system, runs[r].scheme);
         dal_stepper *const other = keeping(system, runs[r].scheme);
-        dal_stepper *const plain = open_stepper(system, &record, NULL);
+        dal_stepper *const plain = open_named(system, runs[r].scheme);
         double reaction[4], sum[4] = {0.0}, worst = 0.0, size = 0.0, error = 0.0;
         dal_stats stats, of_plain;
         begin(stepper, NULL, runs[r].h);
@@ -298,14 +296,13 @@ static void test_order(void)
     const char *const schemes[] = {"leapfrog", "midpoint", "leapfrog-suzuki4", "bm4"};
     for (int which = QUARTIC; which <= GYROSCOPIC; which++) {
         dal_system *const system = open_own(which);
-        const dal_scheme reference = find_scheme("reference");
         for (size_t s = 0; s < sizeof schemes / sizeof schemes[0]; s++) {
             const int order = find_scheme(schemes[s]).order;
             double errors[2];
             for (int k = 0; k < 2; k++) {
                 const double h = (order == 2 ? 0.05 : 0.2) / (1 << k);
                 dal_stepper *const stepper = keeping(system, schemes[s]);
-                dal_stepper *const exact = open_stepper(system, &reference, NULL);
+                dal_stepper *const exact = open_named(system, "reference");
                 begin(stepper, NULL, h);
                 begin(exact, NULL, h);
                 CHECK(dal_step(stepper, NULL) == 0 && dal_step(exact, NULL) == 0);
@@ -356,9 +353,8 @@ static void test_limits(void)
 {
     dal_system *const system = open_pendulum(NULL);
     dal_mechanics *const mechanics = open_mechanics(system);
-    const dal_scheme leapfrog = find_scheme("leapfrog");
     dal_stepper *const stepper = keeping(system, "leapfrog");
-    dal_stepper *const plain = open_stepper(system, &leapfrog, NULL);
+    dal_stepper *const plain = open_named(system, "leapfrog");
     dal_stats stats, before;
     const double at_rest[2] = {0.0, 0.0}, hanging[2] = {1.0, 0.0}, tiny[2] = {1e-7, 0.0};
 
@@ -469,9 +465,8 @@ static void test_failures(void)
     const dal_system_def def = {.n = 1, .mass = &mass, .potential = fused, .state = state,
                                 .ctx = &f};
     dal_system *const system = new_system(&def);
-    const dal_scheme leapfrog = find_scheme("leapfrog");
     dal_stepper *const stepper = keeping(system, "leapfrog");
-    dal_stepper *const plain = open_stepper(system, &leapfrog, NULL);
+    dal_stepper *const plain = open_named(system, "leapfrog");
     double x[2], saved[MOST_SAVED], again[MOST_SAVED];
     dal_stats stats;
     const size_t count = dal_stepper_saved(stepper);
@@ -513,10 +508,9 @@ static void test_saved(void)
 {
     for (int which = QUARTIC; which <= GYROSCOPIC; which++) {
         dal_system *const system = open_own(which);
-        const dal_scheme record = find_scheme("leapfrog-suzuki4");
         dal_stepper *const one = keeping(system, "leapfrog-suzuki4");
         dal_stepper *const other = keeping(system, "leapfrog-suzuki4");
-        dal_stepper *const plain = open_stepper(system, &record, NULL);
+        dal_stepper *const plain = open_named(system, "leapfrog-suzuki4");
         const size_t count = dal_stepper_saved(one);
         double values[MOST_SAVED], bad[MOST_SAVED];
         dal_stats a, b;

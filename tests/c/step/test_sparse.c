@@ -531,11 +531,10 @@ static void test_not_steady(void)
         dal_system_def def = system->def;
         dal_system *steady = NULL;
         double x0[2 * MOST_COORDINATES];
-        const dal_scheme scheme = find_scheme("midpoint");
         start_of(system, 0.0, x0);
         def.steady = DAL_STEADY_DECLARED;
         steady = new_system(&def);
-        dal_stepper *const stepper = open_stepper(steady, &scheme, NULL);
+        dal_stepper *const stepper = open_named(steady, "midpoint");
         CHECK(dal_stepper_start(stepper, 0.0, 0.1, x0, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
         release(system);
     }

@@ -590,9 +590,8 @@ static void check_starts(const dal_system *system, double h)
 {
     const size_t n = dal_system_n(system);
     const double shift = h / 2;
-    const dal_scheme kept = find_scheme("midpoint-nodes");
     dal_mechanics *const mechanics = open_mechanics(system);
-    dal_stepper *const stepper = open_stepper(system, &kept, NULL);
+    dal_stepper *const stepper = open_named(system, "midpoint-nodes");
     double x0[2 * MOST_N], x[2 * MOST_N], distance = NAN;
     moved_state(system, x0);
     memcpy(x, x0, 2 * n * sizeof *x);
@@ -665,9 +664,8 @@ static void check_refused(dal_stepper *stepper, double t0, double h, const doubl
 static void test_starts(void)
 {
     dal_system *const system = open_system("particle");
-    const dal_scheme midpoint = find_scheme("midpoint"), kept = find_scheme("midpoint-nodes");
-    dal_stepper *const stepper = open_stepper(system, &midpoint, NULL);
-    dal_stepper *const nodes = open_stepper(system, &kept, NULL);
+    dal_stepper *const stepper = open_named(system, "midpoint");
+    dal_stepper *const nodes = open_named(system, "midpoint-nodes");
     double x0[6], off[6], lambda = 7.0;
     size_t done = 9;
     CHECK(dal_system_state(system, x0) == 0);
@@ -989,8 +987,7 @@ static void test_singular_step(void)
 {
     const double x0[6] = {0.0, -1.0, 0.0, 1.0, 1.0, -1.0};
     dal_system *const system = open_system("particle");
-    const dal_scheme endpoint = find_scheme("endpoint");
-    dal_stepper *const stepper = open_stepper(system, &endpoint, NULL);
+    dal_stepper *const stepper = open_named(system, "endpoint");
     double lambda = 7.0;
     CHECK(dal_stepper_start(stepper, 0.0, 2.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == DAL_SUCCESS);
     CHECK(dal_step(stepper, &lambda) == DAL_ESINGULAR && lambda == 7.0);

@@ -138,8 +138,7 @@ static void test_linear(void)
     }
     test_derivatives(tilted);
     dal_mechanics *const slant = open_mechanics(tilted);
-    const dal_scheme scheme = find_scheme("midpoint");
-    dal_stepper *const stepper = open_stepper(tilted, &scheme, NULL);
+    dal_stepper *const stepper = open_named(tilted, "midpoint");
     double x[6], E0, E, power = NAN;
     random_state(slant, 3, &seed, x);
     CHECK(dal_energy(slant, 0.0, x, &E0) == 0 && dal_power(slant, 0.0, x, &power, NULL) == 0);
