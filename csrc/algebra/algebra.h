@@ -4,6 +4,7 @@
 
 #include "dalembert/lu.h"
 #include "dalembert/rows.h"
+#include "ground/archive.h"
 #include "ground/ground.h"
 
 #include <math.h>
@@ -147,6 +148,7 @@ void dal__creep_step(dal__creep *self, double t, double h);
 /* Before each step, from t: DAL_ENOCONV if the last 10^4 have led nowhere, beside the longest one
  * and the span that is left. */
 int dal__creep_check(dal__creep *self, double t, double span, dal_error *error);
+void dal__creep_save(dal__creep *self, dal__archive *a);
 static inline double dal__creep_shortest(const dal__creep *self)
 {
     return self->shortest > 0.0 ? self->shortest : 1.0;

@@ -40,3 +40,11 @@ int dal__creep_check(dal__creep *self, double t, double span, dal_error *error)
                      "sign(v), or switch between two systems at a terminal event", WINDOW, advance,
                      t, self->longest);
 }
+
+void dal__creep_save(dal__creep *self, dal__archive *a)
+{
+    double *const numbers[] = {&self->count, &self->length, &self->longest, &self->shortest,
+                               &self->t, &self->mark};
+    for (size_t i = 0; i < DAL_LENGTH(numbers); i++) dal__archive_real(a, numbers[i]);
+    dal__archive_counter(a, &self->since);
+}

@@ -236,6 +236,7 @@ void dal__rank_reserve(dal__rank *rank, size_t n, size_t m, arena *a);
 /* found <- the pivots by the forms and the metric as they are; and then these are a start's. */
 void dal__rank_find(dal__rank *rank, dal_mechanics *mech);
 void dal__rank_start(dal__rank *rank, size_t m);
+void dal__rank_save(dal__rank *rank, size_t m, dal__archive *a);
 /* to <- from, but where its pivots are. */
 void dal__rank_copy(size_t m, const dal__rank *from, dal__rank *to);
 /* A look at the state x[2n], moved back by shift v, for pivots below what is allowed; and at a step

@@ -76,6 +76,17 @@ void dal__rank_copy(size_t m, const dal__rank *from, dal__rank *to)
     to->part = own.part;
 }
 
+void dal__rank_save(dal__rank *rank, size_t m, dal__archive *a)
+{
+    dal__archive_real(a, &rank->least);
+    dal__archive_real(a, &rank->t);
+    dal__archive_counter(a, &rank->rows);
+    dal__archive_counter(a, &rank->doubts);
+    dal__archive_any(a, &rank->range[0]);
+    dal__archive_any(a, &rank->range[1]);
+    dal__archive_vector(a, m, rank->largest);
+}
+
 bool dal__rank_strays(dal__rank *rank, double inverse)
 {
     double *const range = rank->range;

@@ -490,7 +490,7 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     self->kernel.forced = is_forced(self);
     self->kernel.t0 = motion->t0;
     self->kernel.h = motion->h;
-    self->kernel.first = motion->first;
+    self->kernel.number = motion->steps - motion->first;
     self->kernel.estimate = motion->estimate;
     dal__copy(motion->system->def.inputs, self->kernel.input, self->input);
     const int status = self->advance(&self->kernel, steps, done);

@@ -83,6 +83,11 @@ static uint64_t digest(uint64_t hash, size_t size, const void *bytes)
     return hash;
 }
 
+double dal__digest_text(const char *text)
+{
+    return (double)(digest(UINT64_C(0xcbf29ce484222325), strlen(text), text) >> 11);
+}
+
 double dal__scheme_identify(const dal_system *system, const dal_scheme *scheme)
 {
     const char *const family = dal_scheme_family(scheme);

@@ -59,3 +59,14 @@ int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const doub
     jump->change = change;
     return DAL_SUCCESS;
 }
+
+void dal__jump_save(dal__jump *jump, dal__archive *a)
+{
+    dal__archive_flag(a, &jump->looking);
+    dal__archive_real(a, &jump->shift);
+    dal__archive_any(a, &jump->energy);
+    dal__archive_any(a, &jump->kinetic);
+    dal__archive_counter(a, &jump->step);
+    dal__archive_any(a, &jump->change);
+    dal__archive_any(a, &jump->undone);
+}

@@ -9,6 +9,7 @@
 /* What a stepper has beside the numbers that the step routine changes. */
 typedef struct member {
     bool loaded;
+    size_t begin;    /* number of its next step then */
     dal_stats stats;
     size_t calls[4]; /* of its evaluator */
     dal__jump jump;
@@ -153,7 +154,8 @@ static void put(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
     const double first[] = {k->t0, k->h, k->range[0], k->range[1]};
     const double begin[DAL_LANES_X] = {
         [DAL_LANES_PULLED] = k->pulled, [DAL_LANES_FORCED] = k->forced,
-        [DAL_LANES_NUMBER] = (double)k->stats.steps, [DAL_LANES_WORST] = k->stats.worst_residual};
+        [DAL_LANES_NUMBER] = (double)stepper->motion.steps,
+        [DAL_LANES_WORST] = k->stats.worst_residual};
     give(lanes, lane, 0, 4, first);
     give(lanes, lane, 4, nn, k->mass_inverse);
     give(lanes, lane, 4 + nn, n, k->unit);
@@ -174,7 +176,8 @@ void dal__lanes_load(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
     for (size_t other = 0; other < lanes->width; other++)
         if (!lanes->member[other].loaded) put(lanes, other, stepper);
     put(lanes, lane, stepper);
-    *self = (member){.loaded = true, .stats = dal__beta_kernel(stepper)->stats,
+    *self = (member){.loaded = true, .begin = stepper->motion.steps,
+                     .stats = dal__beta_kernel(stepper)->stats,
                      .calls = {e->constraint_calls, e->potential_calls, e->lagrangian_calls,
                                e->force_calls},
                      .jump = stepper->jump, .rank.largest = lanes->largest + lane * lanes->m};
@@ -200,7 +203,7 @@ static size_t counter(const dal__lanes *lanes, size_t lane, size_t i)
 
 size_t dal__lanes_made(const dal__lanes *lanes, size_t lane)
 {
-    return counter(lanes, lane, DAL_LANES_NUMBER) - lanes->member[lane].stats.steps;
+    return counter(lanes, lane, DAL_LANES_NUMBER) - lanes->member[lane].begin;
 }
 
 void dal__lanes_state(const dal__lanes *lanes, size_t lane, double *x)
@@ -229,7 +232,7 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     evaluator *const e = &stepper->mech.eval;
     dal_kernel *const k = dal__beta_kernel(stepper);
     k->stats = self->stats;
-    k->stats.steps = motion->steps = counter(lanes, lane, DAL_LANES_NUMBER);
+    motion->steps = counter(lanes, lane, DAL_LANES_NUMBER);
     k->stats.worst_residual = *carried(lanes, lane, DAL_LANES_WORST);
     k->stats.iterations += counter(lanes, lane, DAL_LANES_ITERATIONS);
     k->stats.constraint_calls += counter(lanes, lane, DAL_LANES_CONSTRAINT_CALLS);

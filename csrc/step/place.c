@@ -20,8 +20,10 @@ void dal__remember(dal_stepper *stepper, dal__place *place)
     place->t = motion->t0;
     place->h = motion->h;
     place->first = motion->first;
-    place->steps = motion->stats->steps;
     place->worst = motion->stats->worst_residual;
+    place->undone = stepper->jump.undone;
+    place->scaled = motion->stats->scaled;
+    place->unscaled = motion->stats->unscaled;
     if (stepper->family->save) stepper->family->save(stepper->method, place->memory);
 }
 
@@ -34,7 +36,9 @@ void dal__go_back(dal_stepper *stepper, const dal__place *place)
     motion->t0 = place->t;
     motion->h = place->h;
     motion->first = place->first;
-    motion->stats->steps = place->steps;
     motion->stats->worst_residual = place->worst;
+    stepper->jump.undone = place->undone;
+    motion->stats->scaled = place->scaled;
+    motion->stats->unscaled = place->unscaled;
     if (stepper->family->restore) stepper->family->restore(stepper->method, place->memory);
 }

@@ -28,7 +28,6 @@ void dal__remake_begin(dal_stepper *self)
     memcpy(remake->calls, calls, sizeof calls);
     remake->stats = *self->motion.stats;
     remake->steps = self->motion.steps;
-    remake->undone = self->jump.undone;
     remake->watch = self->motion.watch;
     self->motion.watch = NULL;
     remake->guards.allowed = self->guards.allowed;
@@ -47,7 +46,6 @@ void dal__remake_end(dal_stepper *self)
     *self->motion.stats = remake->stats;
     self->motion.steps = remake->steps;
     self->motion.watch = remake->watch;
-    self->jump.undone = remake->undone;
     e->constraint_calls = remake->calls[0];
     e->potential_calls = remake->calls[1];
     e->lagrangian_calls = remake->calls[2];
@@ -62,7 +60,7 @@ void dal__remake_start(dal_stepper *self, double t, double from, const double *x
     if (self->shift != 0.0) dal__add(n, self->shift * (h - from), motion->x + n, motion->x);
     motion->t0 = t;
     motion->h = h;
-    motion->first = motion->stats->steps = motion->steps;
+    motion->first = motion->steps;
     if (self->applied) dal__forget(motion->system->def.inputs, self->applied);
     if (self->family->start) self->family->start(self->method, motion);
 }
@@ -73,18 +71,21 @@ bool dal__remake_steps(dal_stepper *self, size_t steps)
     int status = dal__stepper_turn(self);
     for (size_t left = steps, done = 0; !status && left > 0; left -= done) {
         done = 1;
-        status = self->scaling.wanted ? dal__scaling_step(self)
-                                      : self->family->advance(self->method, motion, left, &done);
+        status = dal__scheme_steps(self, left, &done);
         motion->steps += done;
         if (done == 0 && !status) return false;
     }
     return !status;
 }
 
-void dal__remake_pause(dal_stepper *self) { dal__remember(self, &self->remake.there); }
+void dal__remake_pause(dal_stepper *self)
+{
+    dal__remember(self, &self->remake.there);
+    self->remake.paused = self->motion.steps;
+}
 
 void dal__remake_resume(dal_stepper *self)
 {
     dal__go_back(self, &self->remake.there);
-    self->motion.steps = self->motion.stats->steps;
+    self->motion.steps = self->remake.paused;
 }

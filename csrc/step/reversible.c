@@ -14,7 +14,7 @@
  * Neither a start nor a first encounter has a scale.  A step that was too long, by the embedded
  * estimate of its error or by sigma where it ends, is made again by half; so steps may begin with
  * any size, and grow to that of sigma. */
-#include "step/step.h"
+#include "step/reversible.h"
 
 #include <math.h>
 
@@ -86,9 +86,10 @@ static const char *untried(const dal_system *system)
     return def->sparsity ? "a sparsity" : NULL;
 }
 
-int dal__reversible_make(dal_stepper *self, const dal_options *options, dal_error *error)
+static bool wanted(const dal_options *options) { return options->eps != 0.0; }
+
+static int make(dal_stepper *self, const dal_options *options, dal_error *error)
 {
-    dal__reversible *const of = &self->reversible;
     const size_t n = self->mech.n;
     const char *const strange = untried(self->motion.system);
     double own;
@@ -114,12 +115,24 @@ int dal__reversible_make(dal_stepper *self, const dal_options *options, dal_erro
         return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support reversible "
                          "steps, because it has no error estimate; choose a composition of one "
                          "map, for example bm6", self->scheme.name);
-    DAL__RESERVE(&self->vary.arena, dal__times(2, n), &of->field, &of->away, &of->there, &of->jerk,
-                 &of->estimate);
-    of->eps = options->eps;
-    of->most_error = fmax(MOST_ERROR, pow(REGULAR, q + 1.0));
-    of->noise = noise * ROUNDOFF * DAL_ROUNDOFF;
-    return dal__vary_make(self, error);
+    dal__reversible *made, shape = {.eps = options->eps,
+                                    .most_error = fmax(MOST_ERROR, pow(REGULAR, q + 1.0)),
+                                    .noise = noise * ROUNDOFF * DAL_ROUNDOFF};
+    dal__reserve(&self->vary.arena, &made, 1, sizeof *made);
+    DAL__RESERVE(&self->vary.arena, dal__times(2, n), &shape.field, &shape.away, &shape.there,
+                 &shape.jerk, &shape.estimate);
+    const int failed = dal__vary_make(self, error);
+    if (failed) return failed;
+    *made = shape;
+    self->controlled = made;
+    return DAL_SUCCESS;
+}
+
+static int check(dal_stepper *self, double t, double h)
+{
+    if (isinf(h)) return dal__stepper_check_times(self, t, copysign(fmax(1.0, fabs(t)), h));
+    return dal__fail(&self->error, DAL_EINVAL, "h = %g: expected INFINITY or -INFINITY, the "
+                     "direction of reversible steps, which find their own size", h);
 }
 
 /* ---- sigma ---------------------------------------------------------------------------------- */
@@ -138,7 +151,7 @@ typedef struct pace {
 
 static int look(dal_stepper *self, double t, double time, double v02, pace *at)
 {
-    const dal__reversible *const of = &self->reversible;
+    const dal__reversible *const of = self->controlled;
     const size_t n = self->mech.n;
     const double *const x = self->motion.x, *const a0 = of->field + n, *const a1 = of->there + n;
     double *const w = self->mech.w;
@@ -194,9 +207,10 @@ static int measure(dal_stepper *self, double t, dal__reversible *after, double *
 
 /* ---- steps ---------------------------------------------------------------------------------- */
 
-int dal__reversible_start(dal_stepper *self, double t, const double *x, dal__reversible *begin)
+static int start(dal_stepper *self, double t, double h, const double *x, double *first)
 {
     const size_t n = self->mech.n;
+    dal__reversible *const begin = self->controlled;
     const int status = dal_field(&self->mech, t, x, begin->field);
     if (status) return status;
     const double q = sqrt(square(self, x)), v = sqrt(square(self, x + n));
@@ -205,13 +219,14 @@ int dal__reversible_start(dal_stepper *self, double t, const double *x, dal__rev
         return dal__fail(&self->mech.error, DAL_EDOMAIN, "the initial state is at rest and stays "
                          "there, so reversible steps have no size; use a fixed h");
     const double times[] = {q / v, sqrt(q / a)};
-    double h = HUGE_VAL;
+    double time = HUGE_VAL;
     for (size_t i = 0; i < DAL_LENGTH(times); i++)
-        if (times[i] > 0.0) h = fmin(h, times[i]);
-    h = fmax(FIRST * (isinf(h) ? 1.0 : h), 0x1p-40 * fabs(t));
-    begin->rho = begin->eps / h;
+        if (times[i] > 0.0) time = fmin(time, times[i]);
+    time = fmax(FIRST * (isinf(time) ? 1.0 : time), 0x1p-40 * fabs(t));
+    begin->rho = begin->eps / time;
     begin->speed = begin->fastest = 0.0;
     begin->settled = false;
+    *first = copysign(begin->eps / begin->rho, h);
     return DAL_SUCCESS;
 }
 
@@ -236,11 +251,11 @@ static int attempt(dal_stepper *self, double t, double h, double *error, dal__re
     return DAL_SUCCESS;
 }
 
-int dal__reversible_step(dal_stepper *self)
+static int one_step(dal_stepper *self)
 {
-    dal__reversible *const of = &self->reversible;
+    dal__reversible *const of = self->controlled;
     dal_motion *const motion = &self->motion;
-    const double t = dal_stepper_time(self), left = self->vary.until - t;
+    const double t = dal_stepper_time(self), left = self->until - t;
     dal__reversible now = *of;
     size_t resets = 0;
     dal__remember(self, &self->vary.before);
@@ -275,7 +290,7 @@ int dal__reversible_step(dal_stepper *self)
         }
         dal__go_back(self, &self->vary.before);
         const bool hopeless = k == ATTEMPTS || !(fabs(h) > 16.0 * DAL_ROUNDOFF * fabs(t));
-        if (dal__vary_is_final(status) || (hopeless && motion->error->text[0])) return status;
+        if (dal__is_final(status) || (hopeless && motion->error->text[0])) return status;
         if (hopeless)
             return dal__fail(motion->error, DAL_ENOCONV, "no reversible step from t = %.17g is "
                              "short enough: with h = %g the estimated error is %g of the motion; "
@@ -286,3 +301,29 @@ int dal__reversible_step(dal_stepper *self)
         now.fastest = fmax(now.fastest, now.rho * now.rho / 16.0);
     }
 }
+
+static int step(dal_stepper *self, size_t steps, size_t *made)
+{
+    (void)steps; /* one at a time */
+    int status = dal__vary_begin(self, self->motion.h);
+    if (!status) status = one_step(self);
+    if (!status) dal__vary_end(self, self->motion.h);
+    *made = !status;
+    return status;
+}
+
+static void land(dal_stepper *self) { ((dal__reversible *)self->controlled)->settled = false; }
+
+static void save(dal_stepper *self, dal__archive *a)
+{
+    dal__reversible *const of = self->controlled;
+    dal__archive_same(a, "eps", of->eps);
+    dal__archive_positive(a, &of->rho);
+    dal__archive_size(a, &of->speed);
+    dal__archive_size(a, &of->fastest);
+    dal__archive_flag(a, &of->settled);
+}
+
+const dal__control dal__reversible_steps = {.name = "reversible steps", .varies = true,
+                                      .wanted = wanted, .make = make, .check = check,
+                                      .start = start, .step = step, .land = land, .save = save};

@@ -45,13 +45,6 @@ int dal__scaling_make(dal_stepper *self, const dal_options *options, dal_error *
     if (wanted == 0) return DAL_SUCCESS;
     if (wanted != 1)
         return dal__fail(error, DAL_EINVAL, "options.keep_energy = %d: expected 0 or 1", wanted);
-    if (options->eps != 0.0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not possible with "
-                         "reversible steps (eps = %g); use a fixed h", options->eps);
-    if (options->tolerance != 0.0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not possible with "
-                         "error-controlled steps (tolerance = %g); use a fixed h",
-                         options->tolerance);
     if (self->scheme.nodes == DAL_KEPT_NODES)
         return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not possible with the kept "
                          "nodes of \"%s\", because a scaled v leaves D_eps; choose a scheme with "
@@ -175,7 +168,7 @@ static int make_scaled(dal_stepper *self, double s)
     return status;
 }
 
-int dal__scaling_step(dal_stepper *self)
+static int scaled_step(dal_stepper *self)
 {
     dal_mechanics *const mech = &self->mech;
     dal_stats *const stats = self->motion.stats;
@@ -198,10 +191,19 @@ int dal__scaling_step(dal_stepper *self)
         self->jump.undone += defect;
         return DAL_SUCCESS;
     }
-    if (possible || dal__vary_is_final(status)) dal__go_back(self, &self->scaling.before);
-    if (dal__vary_is_final(status)) return status;
+    if (possible || dal__is_final(status)) dal__go_back(self, &self->scaling.before);
+    if (dal__is_final(status)) return status;
     stats->unscaled++;
     status = possible ? make(self) : DAL_SUCCESS; /* which is the step that it was */
     if (status) dal__go_back(self, &self->scaling.before);
+    return status;
+}
+
+int dal__scheme_steps(dal_stepper *self, size_t steps, size_t *made)
+{
+    if (!self->scaling.wanted)
+        return self->family->advance(self->method, &self->motion, steps, made);
+    const int status = scaled_step(self);
+    *made = !status;
     return status;
 }

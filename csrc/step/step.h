@@ -4,6 +4,7 @@
 
 #include "dalembert/family.h"
 #include "discrete/discrete.h"
+#include "ground/archive.h"
 
 /* Those that the build list names, the one of records without a family first; NULL at the end. */
 extern const dal_family *const dal__families[];
@@ -20,6 +21,8 @@ dal_substep dal__scheme_substep(const dal_scheme *scheme, size_t j);
 int dal__scheme_check_plain(const dal_scheme *scheme, const char *family, dal_error *error);
 /* A number of system and scheme, but for callbacks and what is behind data. */
 double dal__scheme_identify(const dal_system *system, const dal_scheme *scheme);
+/* A number of a text. */
+double dal__digest_text(const char *text);
 
 /* One beta-step of any system by the full Newton iteration on all n + m unknowns. */
 typedef struct newton {
@@ -64,11 +67,12 @@ typedef struct dal__jump {
 int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shift,
                     const double *x);
 int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
+void dal__jump_save(dal__jump *jump, dal__archive *a);
 
 /* Where a motion was. */
 typedef struct dal__place {
-    double t, h, worst;      /* worst_residual */
-    size_t steps, first;
+    double t, h, worst, undone; /* worst_residual; of the jump */
+    size_t first, scaled, unscaled;
     double *x;               /* [2n+m] with the impulse */
     double *memory;          /* what the family saves */
 } dal__place;
@@ -76,44 +80,7 @@ void dal__place_reserve(dal_stepper *stepper, dal__place *place, arena *a);
 void dal__remember(dal_stepper *stepper, dal__place *place);
 void dal__go_back(dal_stepper *stepper, const dal__place *place);
 
-/* Steps whose size varies (vary.c): error-controlled or reversible ones. */
-typedef struct dal__vary {
-    bool on;                 /* they are such */
-    double until;            /* a time at which a step is to end, or infinite */
-    dal__place before;       /* a step */
-    arena arena;             /* of the two kinds as well */
-} dal__vary;
-/* Memory for all that a kind has asked for. */
-int dal__vary_make(dal_stepper *stepper, dal_error *error);
-/* A step of h from t, where the stepper stands; the caller counts it. */
-int dal__vary_step(dal_stepper *stepper, double t, double h);
-/* Whether a step failed for a reason that a shorter one would not have. */
-bool dal__vary_is_final(int status);
-/* The step from t that ends at the time where one is to end. */
-double dal__vary_last(const dal_stepper *stepper, double t);
-
-/* Error-controlled steps (pace.c); q = 0: there are none. */
-typedef struct dal__pace {
-    int q, order;            /* the estimate is O(h^(q+1)), the error O(h^(order+1)) */
-    double tolerance, h_max;
-    double allowed;          /* what the error of a step may be */
-    double noise, seen;      /* the roundoff of the estimate by its weights, and as it was seen */
-    double h, error;         /* the next step to be tried; the error of the last, in units of what
-                                it may be */
-    double share;            /* by which the error of a step follows from its estimate */
-    double *estimate, *field; /* [2n] */
-    dal__place after;        /* a step */
-} dal__pace;
-/* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */
-int dal__pace_make(dal_stepper *stepper, const dal_options *options, dal_error *error);
-/* From a new start, with the h of the motion. */
-void dal__pace_start(dal_stepper *stepper);
-/* *h <- a first step from x[2n] at t, ahead (1) or back (-1).  The errors of the field. */
-int dal__pace_first(dal_stepper *stepper, double t, double ahead, const double *x, double *h);
-/* One step; the caller counts it.  The error is in motion->error. */
-int dal__pace_step(dal_stepper *stepper);
-
-/* Steps that keep the energy (scaling.c). */
+/* Steps that keep the energy (scaling.c), whatever controls their size. */
 typedef struct dal__scaling {
     bool wanted;
     double energy;     /* that is kept */
@@ -125,37 +92,65 @@ int dal__scaling_make(dal_stepper *stepper, const dal_options *options, dal_erro
 /* *energy <- that of x[2n], where they start, which is 0 where they are not wanted.  The errors of
  * the callbacks, DAL_EUNSUPPORTED; the text is in mech->error. */
 int dal__scaling_start(dal_stepper *stepper, const double *x, double *energy);
-/* One step; the caller counts it.  The error is in motion->error. */
-int dal__scaling_step(dal_stepper *stepper);
 /* DAL_EUNSUPPORTED, in the name of who asks, unless L is of second degree in v at x[2n]; the text
  * is in mech->error.  The errors of the callbacks. */
 int dal__check_degree(dal_mechanics *mech, double t, const double *x, const char *name);
-/* Reversible steps (reversible.c); eps = 0: there are none. */
-typedef struct dal__reversible {
-    double eps;
-    double most_error;       /* of a step by its estimate, in units of the speed */
-    double noise;            /* roundoff of the estimate, in units of that of a state */
-    double rho;              /* of the next step */
-    double speed, fastest;   /* v0^2, and the square of the largest rate so far */
-    bool settled;            /* rho has come to sigma since the start, or the last reset of x */
-    double *field, *away, *there; /* [2n] that at x, a state near it, its field */
-    double *jerk;            /* [2n] of the last look at x, and of this one */
-    double *estimate;        /* [2n] of the error of a step */
-} dal__reversible;
-/* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */
-int dal__reversible_make(dal_stepper *stepper, const dal_options *options, dal_error *error);
-/* begin, a copy of the stepper's, <- that of a start from x[2n] at t.  The errors of the callbacks,
- * DAL_EDOMAIN. */
-int dal__reversible_start(dal_stepper *stepper, double t, const double *x, dal__reversible *begin);
-/* As dal__pace_step. */
-int dal__reversible_step(dal_stepper *stepper);
+/* Steps of motion->h by the scheme, up to so many, which keep the energy if that is wanted; *made
+ * <- how many.  The caller counts them.  The error is in motion->error. */
+int dal__scheme_steps(dal_stepper *stepper, size_t steps, size_t *made);
+
+/* What determines the size of the steps: each control is a file, and control.c lists them.  What it
+ * has made is stepper->controlled. */
+typedef struct dal__control {
+    const char *name;        /* "steps of fixed size" */
+    bool varies;             /* each step begins where the one before ended, and has its own size;
+                                a run of them is for a time, stepper->until, not for a number */
+    /* Whether the options ask for it: the first that says so is made. */
+    bool (*wanted)(const dal_options *options);
+    /* NULL: nothing to be made.  DAL_EINVAL, DAL_EUNSUPPORTED. */
+    int (*make)(dal_stepper *stepper, const dal_options *options, dal_error *error);
+    /* DAL_EINVAL in stepper->error unless steps may begin at t with h: infinite if the control is to
+     * find the size. */
+    int (*check)(dal_stepper *stepper, double t, double h);
+    /* *first <- the size of a first step from the consistent x[2n] at t, by h.  Nothing changes on
+     * failure.  The errors of the field, whose text is in mech->error.  NULL: it is h. */
+    int (*start)(dal_stepper *stepper, double t, double h, const double *x, double *first);
+    /* As dal__scheme_steps. */
+    int (*step)(dal_stepper *stepper, size_t steps, size_t *made);
+    /* The state has become another one.  NULL: it does not matter. */
+    void (*land)(dal_stepper *stepper);
+    /* What the next step depends on.  NULL: nothing. */
+    void (*save)(dal_stepper *stepper, dal__archive *a);
+} dal__control;
+extern const dal__control dal__fixed_steps, dal__controlled_steps, dal__reversible_steps;
+const dal__control *dal__control_of(const dal_options *options);
+
+/* What controls of steps that vary share (vary.c). */
+typedef struct dal__vary {
+    dal__place before;       /* a step */
+    arena arena;             /* of what the control has made, too */
+} dal__vary;
+/* Memory for all that a control has reserved in stepper->vary.arena, and for the place before. */
+int dal__vary_make(dal_stepper *stepper, dal_error *error);
+/* Before and after a step whose size is about |h|: whether steps still lead on, and whether C keeps
+ * its rank where they become short. */
+int dal__vary_begin(dal_stepper *stepper, double h);
+void dal__vary_end(dal_stepper *stepper, double h);
+/* A step of h from t, where the stepper stands; the caller counts it. */
+int dal__vary_step(dal_stepper *stepper, double t, double h);
+/* Whether a step failed for a reason that a shorter one would not have. */
+static inline bool dal__is_final(int status)
+{
+    return status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL;
+}
+/* The step from t that ends at the time where one is to end. */
+double dal__vary_last(const dal_stepper *stepper, double t);
 
 /* Steps of the motion that are computed again with another h (remake.c). */
 typedef struct dal__remake {
     dal__place here, there; /* of the motion; of the other steps, between two calls */
     dal_stats stats;        /* the rest of the motion */
-    size_t calls[4], steps;
-    double undone;
+    size_t calls[4], steps, paused; /* the last: of the other steps */
     double *input, *applied; /* [inputs] */
     dal_watch_fn watch;
     struct dal__guards guards; /* of the other steps: the run has its own */
@@ -221,10 +216,11 @@ struct dal_stepper {
     double *applied;       /* [inputs] in whose D the state is, if constraints depend on them */
     dal__jump jump;
     struct dal__guards guards;
+    const dal__control *control;
+    void *controlled;      /* what it has made */
+    double until;          /* a time at which a step is to end, or infinite */
     dal__vary vary;
-    dal__pace pace;
     dal__scaling scaling;
-    dal__reversible reversible;
     dal__remake remake;
     dal__guard guard;
     bool started;

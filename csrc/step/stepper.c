@@ -67,9 +67,8 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     status = allocate(&self, system, scheme, options, error);
     if (status) return status;
     if (family->make) status = family->make(&self->method, &self->motion, error);
-    if (!status)
-        status = options && options->eps != 0.0 ? dal__reversible_make(self, options, error)
-                                                : dal__pace_make(self, options, error);
+    self->control = dal__control_of(options);
+    if (!status && self->control->make) status = self->control->make(self, options, error);
     if (!status) status = dal__scaling_make(self, options, error);
     if (!status) status = dal__remake_make(self, error);
     if (status) {
@@ -102,12 +101,7 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     const bool kept = self->scheme.nodes == DAL_KEPT_NODES;
     dal_error *const error = &self->error;
     if (!x) return dal__fail(error, DAL_EINVAL, "x is NULL");
-    const bool found = self->vary.on && isinf(h); /* by the step itself */
-    if (self->reversible.eps > 0.0 && !isinf(h))
-        return dal__fail(error, DAL_EINVAL, "h = %g: expected INFINITY or -INFINITY, the direction "
-                         "of reversible steps, which find their own size", h);
-    const int status =
-        dal__stepper_check_times(self, t0, found ? copysign(fmax(1.0, fabs(t0)), h) : h);
+    const int status = self->control->check(self, t0, h);
     if (status) return status;
     for (size_t i = 0; i < 2 * n; i++)
         if (!isfinite(x[i]))
@@ -249,13 +243,8 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     if (!status)
         status = dal__jump_start(&jump, &self->mech, self->scheme.order, shift, self->fresh);
     if (!status) status = dal__scaling_start(self, self->fresh, &kept);
-    dal__reversible reversible = self->reversible;
-    if (!status && reversible.eps > 0.0) {
-        status = dal__reversible_start(self, t0, self->fresh, &reversible);
-        first = copysign(reversible.eps / reversible.rho, h);
-    } else if (!status && isinf(h)) {
-        status = dal__pace_first(self, t0, copysign(1.0, h), self->fresh, &first);
-    }
+    if (!status && self->control->start)
+        status = self->control->start(self, t0, h, self->fresh, &first);
     if (status) {
         self->error = self->mech.error;
         return status;
@@ -266,9 +255,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     motion->t0 = t0;
     motion->h = first;
     motion->steps = motion->first = 0;
-    dal__pace_start(self);
-    self->reversible = reversible;
-    self->vary.until = h > 0.0 ? (double)INFINITY : -(double)INFINITY;
+    self->until = h > 0.0 ? (double)INFINITY : -(double)INFINITY;
     *motion->stats = stats;
     self->jump = jump;
     dal__rank_start(&self->guards.rank, self->mech.m);
@@ -317,28 +304,11 @@ int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
         stepper->error = stepper->mech.error;
         return status;
     }
-    stepper->reversible.settled = false;
+    if (stepper->control->land) stepper->control->land(stepper);
     if (stepper->jump.step == 0) stepper->jump = jump;
     stepper->scaling.energy = kept;
     memcpy(motion->x, x, 2 * stepper->mech.n * sizeof *x);
     if (stepper->family->start) stepper->family->start(stepper->method, motion);
-    return DAL_SUCCESS;
-}
-
-/* A step that chooses its size; before one that is to be short C is looked at. */
-static int choose_step(dal_stepper *self)
-{
-    dal_motion *const motion = &self->motion;
-    struct dal__guards *const guards = &self->guards;
-    const bool paced = self->pace.q > 0;
-    const double t = dal_stepper_time(self);
-    int status =
-        dal__creep_check(&guards->creep, t, fabs(self->vary.until - t), motion->error);
-    if (!status && dal__creep_is_short(&guards->creep, paced ? self->pace.h : motion->h))
-        status = dal__rank_look(&guards->rank, &self->mech, t, 0.0, guards->allowed, motion->x);
-    if (!status) status = paced ? dal__pace_step(self) : dal__reversible_step(self);
-    if (status) return status;
-    dal__creep_step(&guards->creep, motion->t0 + motion->h, paced ? self->pace.h : motion->h);
     return DAL_SUCCESS;
 }
 
@@ -353,17 +323,8 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
         const size_t left = steps - *made, next = BETWEEN_LOOKS - motion->steps % BETWEEN_LOOKS;
         size_t done = 0;
         motion->error->text[0] = '\0';
-        int status;
-        if (self->vary.on) {
-            if (dal_stepper_time(self) == self->vary.until) return DAL_SUCCESS;
-            status = choose_step(self);
-            done = !status;
-        } else if (self->scaling.wanted) {
-            status = dal__scaling_step(self);
-            done = !status;
-        } else {
-            status = self->family->advance(self->method, motion, next < left ? next : left, &done);
-        }
+        if (dal_stepper_time(self) == self->until) return DAL_SUCCESS;
+        const int status = self->control->step(self, next < left ? next : left, &done);
         motion->steps += done;
         *made += done;
         if (status && !motion->error->text[0]) /* a family of the user's that says nothing */
@@ -393,7 +354,7 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
         return dal__fail(&stepper->error, DAL_EINVAL, "the stepper has reached the end of its "
                          "steps, t = %g; set a later end", dal_stepper_time(stepper));
     if (status || !reaction || steps == 0) return status;
-    const double elapsed = stepper->vary.on ? dal_stepper_time(stepper) - begin
+    const double elapsed = stepper->control->varies ? dal_stepper_time(stepper) - begin
                                                : (double)steps * stepper->motion.h;
     return dal__stepper_reaction(stepper, elapsed, reaction);
 }

@@ -6,7 +6,6 @@
 int dal__vary_make(dal_stepper *self, dal_error *error)
 {
     dal__place_reserve(self, &self->vary.before, &self->vary.arena);
-    self->vary.on = true;
     return dal__allocate(&self->vary.arena, error);
 }
 
@@ -17,19 +16,30 @@ int dal__vary_step(dal_stepper *self, double t, double h)
     if (self->family->rescale) self->family->rescale(self->method, h / motion->h);
     motion->t0 = t;
     motion->h = h;
-    motion->first = motion->stats->steps = motion->steps; /* a trial may have counted another */
+    motion->first = motion->steps;
     motion->error->text[0] = '\0';
-    return self->family->advance(self->method, motion, 1, &done);
+    return dal__scheme_steps(self, 1, &done);
 }
 
-bool dal__vary_is_final(int status)
+int dal__vary_begin(dal_stepper *self, double h)
 {
-    return status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL;
+    struct dal__guards *const guards = &self->guards;
+    dal_motion *const motion = &self->motion;
+    const double t = dal_stepper_time(self);
+    const int status =
+        dal__creep_check(&guards->creep, t, fabs(self->until - t), motion->error);
+    if (status || !dal__creep_is_short(&guards->creep, h)) return status;
+    return dal__rank_look(&guards->rank, &self->mech, t, 0.0, guards->allowed, motion->x);
+}
+
+void dal__vary_end(dal_stepper *self, double h)
+{
+    dal__creep_step(&self->guards.creep, self->motion.t0 + self->motion.h, h);
 }
 
 double dal__vary_last(const dal_stepper *self, double t)
 {
-    const double until = self->vary.until, left = until - t;
+    const double until = self->until, left = until - t;
     for (int ahead = -1; ahead <= 1; ahead += 2) { /* t + left may be rounded to its neighbour */
         const double next = nextafter(left, ahead * (double)INFINITY);
         if (t + left != until && t + next == until) return next;
@@ -41,7 +51,7 @@ int dal_stepper_until(dal_stepper *stepper, double t)
 {
     if (!stepper) return DAL_EINVAL;
     dal_error *const error = &stepper->error;
-    if (!stepper->vary.on)
+    if (!stepper->control->varies)
         return dal__fail(error, DAL_EUNSUPPORTED, "until needs steps of variable size; this "
                          "stepper has a fixed h");
     const int status = dal__stepper_started(stepper);
@@ -49,6 +59,6 @@ int dal_stepper_until(dal_stepper *stepper, double t)
     if (!(dal__stepper_ahead(stepper) * (t - dal_stepper_time(stepper)) >= 0.0))
         return dal__fail(error, DAL_EINVAL, "t = %g: expected a time from %g on, in the direction "
                          "of the steps", t, dal_stepper_time(stepper));
-    stepper->vary.until = t;
+    stepper->until = t;
     return DAL_SUCCESS;
 }

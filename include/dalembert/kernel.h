@@ -192,8 +192,8 @@ struct dal_kernel {
     void (*solve)(const dal_kernel *k);
 
     double range[2];       /* bounds of 1/|det S|, or with at.rows of its log2, see look */
-    double t0, h;          /* step k, counted in stats, begins at t0 + (k - first) h */
-    size_t first;
+    double t0, h;          /* step k begins at t0 + k h */
+    size_t number;         /* of the next step */
     const double *weight;  /* [stages+1] weights, and the array for the sum of weight[i] (Y_i - Y_0)
                               over the */
     double *estimate;      /* states Y_i between the stages of a step, [2n]; or NULL */
@@ -1135,7 +1135,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #endif
     const size_t stages = k->stages;
     const dal_stage *s = k->stage, *const end = s + stages;
-    const double first = (double)(k->stats.steps - k->first), last = first + (double)steps;
+    const double first = (double)k->number, last = first + (double)steps;
     double number = first;
     int status = DAL_SUCCESS;
     const dal_pattern has = DAL_KERNEL_PATTERN;
@@ -1194,7 +1194,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         dal_kernel_forget(k);
     }
     *done = (size_t)(number - first);
-    k->stats.steps += *done;
+    k->number += *done;
     return status;
 }
 

@@ -4,8 +4,8 @@
 
 #include "dalembert/ensemble.h"
 #include "dalembert/events.h"
+#include "step/controlled.h"
 #include "step/embedded.h"
-#include "step/step.h"
 
 enum { MOST = 20000, MOST_2N = 16 };
 
@@ -14,6 +14,8 @@ static dal_stepper *controlled(const dal_system *system, const char *scheme, dou
     const dal_scheme record = find_scheme(scheme);
     return open_stepper(system, &record, &(dal_options){.tolerance = tolerance});
 }
+
+static const dal__pace *of_steps(const dal_stepper *stepper) { return stepper->controlled; }
 
 static void begin(dal_stepper *stepper, const dal_system *system, double t0, double h)
 {
@@ -98,14 +100,14 @@ static void test_order_of_the_estimate(void)
     for (size_t k = 0; k < sizeof cases / sizeof cases[0]; k++) {
         dal_system *const system = open_system(cases[k].system);
         dal_stepper *const stepper = controlled(system, cases[k].scheme, 0.1);
-        CHECK(stepper->pace.q == cases[k].q);
+        CHECK(of_steps(stepper)->q == cases[k].q);
         double sizes[2];
         for (int i = 0; i < 2; i++) {
             begin(stepper, system, 0.0, cases[k].h / (1 << i));
             CHECK(dal_step(stepper, NULL) == DAL_SUCCESS);
             sizes[i] = 0.0;
             for (size_t j = 0; j < 2 * dal_system_n(system); j++)
-                sizes[i] = fmax(sizes[i], fabs(stepper->pace.estimate[j]));
+                sizes[i] = fmax(sizes[i], fabs(of_steps(stepper)->estimate[j]));
         }
         CHECK_NEAR(log2(sizes[0] / sizes[1]), cases[k].q + 1, 0.5);
         release(system);
@@ -165,7 +167,7 @@ static void test_lengths(void)
         begin(stepper, system, 0.0, 50.0);
         CHECK(dal_stepper_until(stepper, 100.0) == DAL_SUCCESS);
         while (dal_stepper_time(stepper) < 100.0 && !dal_step(stepper, NULL))
-            CHECK(stepper->pace.error <= 1.0);
+            CHECK(of_steps(stepper)->error <= 1.0);
         const dal_stats stats = stats_of(stepper);
         CHECK(stats.rejected > 0 && stats.rejected < 20);
         steps[k] = stats.steps;
@@ -217,7 +219,7 @@ static void test_straight_line(void)
         CHECK(dal_stepper_until(stepper, 1e3) == DAL_SUCCESS);
         while (dal_stepper_time(stepper) < 1e3 && !dal_step(stepper, NULL)) continue;
         const dal_stats stats = stats_of(stepper);
-        CHECK(stepper->pace.share == 1.0 && stats.uncontrolled == 0 && stats.steps < 100);
+        CHECK(of_steps(stepper)->share == 1.0 && stats.uncontrolled == 0 && stats.steps < 100);
         for (size_t i = 0; i < 3; i++) x[i] += 1e3 * x[3 + i];
         CHECK(largest_difference(6, dal_stepper_state(stepper), x) < 1e-11);
         release(stepper);
@@ -559,8 +561,10 @@ static void test_first_step(void)
             open_stepper(system, &record, &(dal_options){.tolerance = 1e-6, .h_max = longest});
         double h = 0.0;
         begin(stepper, system, 0.0, ahead * (double)INFINITY);
-        CHECK(dal__pace_first(stepper, 0.0, ahead, x, &h) == DAL_SUCCESS);
-        const double exact = pow(0.01 * stepper->pace.tolerance, 1.0 / (stepper->pace.q + 1.0));
+        const dal__pace *const of = of_steps(stepper);
+        const double either = ahead * (double)INFINITY;
+        CHECK(dal__controlled_steps.start(stepper, 0.0, either, x, &h) == DAL_SUCCESS);
+        const double exact = pow(0.01 * of->tolerance, 1.0 / (of->q + 1.0));
         CHECK_NEAR(h, ahead * (longest > 0.0 ? longest : exact), 8.0 * U);
         release(stepper);
     }

@@ -563,7 +563,7 @@ static void test_bad_definitions(void)
     def.compiled = &larger;
     refused(&def, "compile it with the kernel.h of this library");
     def.compiled = &older;
-    refused(&def, "number 12");
+    refused(&def, "number 13");
     def = good;
     def.steady = 0;
     def.force = no_force;

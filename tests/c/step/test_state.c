@@ -322,10 +322,9 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 }
 
 /* What stands where among the saved numbers; x follows the head. */
-enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, KEEPS, EPS, T0, H, TAKEN,
-       LOOKING, SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 22,
-       FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, UNCONTROLLED, RANK_ROWS = 42, RANK_DOUBTS,
-       SINCE = 50, RANGE, SETTLED = 56, BEGUN, SEEN, SHARE, NEXT_H, LAST_ERROR, HEAD };
+enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, CONTROL, T0, H, TAKEN, BEGUN, KEEPS, KEPT,
+       FIRST_COUNT, LAST_COUNT = 28, LOOKING = 32, SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, UNDONE,
+       SINCE = 45, RANK_ROWS = 48, RANK_DOUBTS, RANGE, HEAD = 52 };
 
 /* Whether nothing but a refusal will do; the words are those that it has to have. */
 static bool is_hopeless(size_t i, double spoil, char words[32])
@@ -333,27 +332,21 @@ static bool is_hopeless(size_t i, double spoil, char words[32])
     const bool energy = (ENERGY <= i && i <= JUMP && i != JUMP_STEP) || i == KEPT || i == UNDONE
                      || i == RANGE || i == RANGE + 1;
     const bool counter = i == TAKEN || i == JUMP_STEP || (FIRST_COUNT <= i && i <= LAST_COUNT)
-                      || (FIRST_CALLS <= i && i <= UNCONTROLLED && !energy) || i == BEGUN
-                      || i == RANK_ROWS || i == RANK_DOUBTS || i == SINCE;
+                      || i == BEGUN || i == RANK_ROWS || i == RANK_DOUBTS || i == SINCE;
     snprintf(words, 32, "values[%zu]", i);
-    if (i == SAVED_VERSION) return true;
+    if (i == SAVED_VERSION || i == CONTROL) return true;
     if (i <= IDENTITY) {
         snprintf(words, 32, "another system or scheme");
-        return true;
-    }
-    if (i == TOLERANCE || i == LONGEST || i == EPS) {
-        snprintf(words, 32, "the saved state has %s", i == EPS ? "eps" : "tolerance");
         return true;
     }
     if (i == KEEPS) snprintf(words, 32, "the saved state has keep_energy");
     if (i == KEEPS) return spoil != 0.0;
     if (isnan(spoil) || (isinf(spoil) && !energy)) return true;
-    if (i == NEXT_H) return spoil != 0.0; /* steps of one size have none */
     if (i == T0 || i == H) {
         snprintf(words, 32, i == T0 ? "does not change t0" : "h = ");
         return i == T0 ? fabs(spoil) == 1e300 : fabs(spoil) < 1e-300;
     }
-    return (counter || i == LOOKING || i == SETTLED) && spoil != 0.0;
+    return (counter || i == LOOKING) && spoil != 0.0;
 }
 
 /* The stepper at home is saved; every number of it is spoiled in turn and handed to the stepper

@@ -9,7 +9,7 @@
  *
  * A step begins where the one before ended, at t0, and its h is the difference of two times, t0 and
  * the rounded t0 + h: so times do not gather roundoff, whatever the steps. */
-#include "step/step.h"
+#include "step/controlled.h"
 
 #include <math.h>
 #include <string.h>
@@ -47,13 +47,15 @@ enum { ATTEMPTS = 60 };
 enum { EARLY = 8, OFTEN = 64 };
 #define FIRST_SHARE 1.0
 
-int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *error)
+static bool wanted(const dal_options *options)
 {
-    dal__pace *const pace = &self->pace;
+    return options->tolerance != 0.0 || options->h_max != 0.0;
+}
+
+static int make(dal_stepper *self, const dal_options *options, dal_error *error)
+{
     const dal_family *const family = self->family;
-    const double tolerance = options ? options->tolerance : 0.0;
-    const double h_max = options ? options->h_max : 0.0;
-    if (tolerance == 0.0 && h_max == 0.0) return DAL_SUCCESS;
+    const double tolerance = options->tolerance, h_max = options->h_max;
     if (!(h_max >= 0.0))
         return dal__fail(error, DAL_EINVAL, "options.h_max = %g: expected a positive number, or 0 "
                          "for no limit", h_max);
@@ -72,24 +74,29 @@ int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *err
     if (!(tolerance >= LEAST_TOLERANCE && tolerance <= MOST_TOLERANCE))
         return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected a number from %g "
                          "(roundoff) to %g", tolerance, LEAST_TOLERANCE, MOST_TOLERANCE);
-    pace->q = q;
-    pace->order = self->scheme.order > q ? self->scheme.order : q;
-    pace->noise = noise * ROUNDOFF * DAL_ROUNDOFF;
-    DAL__RESERVE(&self->vary.arena, 2 * self->mech.n, &pace->estimate, &pace->field);
-    dal__place_reserve(self, &pace->after, &self->vary.arena);
-    pace->tolerance = self->guards.allowed = tolerance;
-    pace->allowed = PART * pow(tolerance, (pace->order + 1.0) / pace->order);
-    pace->h_max = h_max > 0.0 ? h_max : (double)INFINITY;
-    return dal__vary_make(self, error);
+    const int order = self->scheme.order > q ? self->scheme.order : q;
+    dal__pace shape = {.q = q, .order = order, .noise = noise * ROUNDOFF * DAL_ROUNDOFF,
+                  .tolerance = tolerance, .allowed = PART * pow(tolerance, (order + 1.0) / order),
+                  .h_max = h_max}, *made;
+    dal__reserve(&self->vary.arena, &made, 1, sizeof *made);
+    DAL__RESERVE(&self->vary.arena, 2 * self->mech.n, &shape.estimate, &shape.field);
+    dal__place_reserve(self, &shape.after, &self->vary.arena);
+    status = dal__vary_make(self, error);
+    if (status) return status;
+    *made = shape;
+    self->controlled = made;
+    self->guards.allowed = tolerance;
+    return DAL_SUCCESS;
 }
 
-void dal__pace_start(dal_stepper *self)
+static double longest(const dal__pace *pace)
 {
-    if (self->pace.q == 0) return;
-    self->pace.h = self->motion.h;
-    self->pace.error = 1.0;
-    self->pace.share = FIRST_SHARE;
-    self->pace.seen = 0.0;
+    return pace->h_max > 0.0 ? pace->h_max : (double)INFINITY;
+}
+
+static int check(dal_stepper *self, double t, double h)
+{
+    return dal__stepper_check_times(self, t, isinf(h) ? copysign(fmax(1.0, fabs(t)), h) : h);
 }
 
 /* ---- the first step ------------------------------------------------------------------------- */
@@ -107,9 +114,9 @@ static double size(size_t N, const double *x, const double *change)
 
 /* A first step by the rates of x and of its rates (Hairer, Norsett, Wanner 1993, II.4), all at time
  * t: where the motion is to end is not known yet. */
-int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, double *h)
+static int find_first(dal_stepper *self, double t, double ahead, const double *x, double *h)
 {
-    dal__pace *const pace = &self->pace;
+    dal__pace *const pace = self->controlled;
     const size_t N = 2 * self->mech.n;
     double *const f = pace->estimate, *const there = self->vary.before.x;
     double *const change = pace->field;
@@ -118,7 +125,7 @@ int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, 
     const double tolerance = pace->tolerance;
     const double place = size(N, x, x) / tolerance, speed = size(N, x, f) / tolerance;
     const double small = place > 1e-5 && speed > 1e-5 ? 0.01 * place / speed : 1e-6;
-    const double one = ahead * fmin(small, pace->h_max);
+    const double one = ahead * fmin(small, longest(pace));
     dal__move(N, x, one, f, there);
     double turn = 0.0;
     status = dal_field(&self->mech, t, there, change);
@@ -127,7 +134,20 @@ int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, 
     if (!status) turn = size(N, x, change) / tolerance / fabs(one);
     const double rate = fmax(speed, turn);
     const double two = rate > 1e-15 ? pow(0.01 / rate, 1.0 / (pace->q + 1.0)) : 1e3 * small;
-    *h = ahead * fmin(fmin(100.0 * small, two), pace->h_max);
+    *h = ahead * fmin(fmin(100.0 * small, two), longest(pace));
+    return DAL_SUCCESS;
+}
+
+static int start(dal_stepper *self, double t, double h, const double *x, double *first)
+{
+    dal__pace *const pace = self->controlled;
+    const int status = isinf(h) ? find_first(self, t, copysign(1.0, h), x, first) : DAL_SUCCESS;
+    if (status) return status;
+    if (!isinf(h)) *first = h;
+    pace->h = *first;
+    pace->error = 1.0;
+    pace->share = FIRST_SHARE;
+    pace->seen = 0.0;
     return DAL_SUCCESS;
 }
 
@@ -136,7 +156,7 @@ int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, 
 /* One step from t; *estimate <- the size of the embedded estimate. */
 static int attempt(dal_stepper *self, double t, double h, double *estimate)
 {
-    dal__pace *const pace = &self->pace;
+    dal__pace *const pace = self->controlled;
     dal_motion *const motion = &self->motion;
     motion->estimate = pace->estimate;
     const int status = dal__vary_step(self, t, h);
@@ -173,7 +193,7 @@ static void look_at_roundoff(dal__pace *pace, double estimate, double twice)
  * less.  Whether that was not known. */
 static bool look_at_moves(dal_stepper *self, double t)
 {
-    dal__pace *const pace = &self->pace;
+    dal__pace *const pace = self->controlled;
     dal_mechanics *const mech = &self->mech;
     const double *const v = self->motion.x + mech->n;
     if (mech->eval.system->def.kind == DAL_LINEAR) return false;
@@ -192,7 +212,7 @@ static bool look_at_moves(dal_stepper *self, double t)
  * says nothing. */
 static int measure_share(dal_stepper *self, double t, double h, double estimate)
 {
-    dal__pace *const pace = &self->pace;
+    dal__pace *const pace = self->controlled;
     dal_motion *const motion = &self->motion;
     const size_t N = 2 * self->mech.n;
     double *const difference = pace->field;
@@ -214,26 +234,26 @@ static int measure_share(dal_stepper *self, double t, double h, double estimate)
                               ? share : sqrt(share * pace->share);
     }
     dal__go_back(self, &pace->after);
-    return dal__vary_is_final(status) ? status : DAL_SUCCESS;
+    return dal__is_final(status) ? status : DAL_SUCCESS;
 }
 
 /* Whether c is measured after this step, where there is room for another. */
 static bool is_time(const dal_stepper *self, double t, double h)
 {
     const size_t steps = self->motion.steps;
-    const double left = self->vary.until - t;
+    const double left = self->until - t;
     return (steps == 0 || steps == EARLY || steps % OFTEN == 0) && 2.0 * fabs(h) <= fabs(left);
 }
 
 /* The length of a step of about h from t: not beyond the end, nor so that a short one is left. */
 static double fit(const dal_stepper *self, double t, double h)
 {
-    const dal__pace *const pace = &self->pace;
-    const double left = self->vary.until - t;
-    if (fabs(h) > pace->h_max) h = copysign(pace->h_max, h);
+    const dal__pace *const pace = self->controlled;
+    const double left = self->until - t;
+    h = copysign(fmin(fabs(h), longest(pace)), h);
     if (fabs(h) >= fabs(left)) {
         const double last = dal__vary_last(self, t);
-        if (t + last == self->vary.until) return last;
+        if (t + last == self->until) return last;
         h = 0.75 * left; /* no number leads there from t, and from there one does */
     } else if (2.0 * fabs(h) > fabs(left)) {
         h = 0.5 * left;
@@ -249,9 +269,9 @@ static double change(const dal__pace *pace, double error)
                          * pow(pace->error, MEMORY * power), LEAST), MOST);
 }
 
-int dal__pace_step(dal_stepper *self)
+static int one_step(dal_stepper *self)
 {
-    dal__pace *const pace = &self->pace;
+    dal__pace *const pace = self->controlled;
     dal_motion *const motion = &self->motion;
     const double t = dal_stepper_time(self), power = 1.0 / (pace->order + 1.0);
     double h = pace->h;
@@ -282,7 +302,7 @@ int dal__pace_step(dal_stepper *self)
         dal__go_back(self, &self->vary.before);
         motion->t0 = t;
         motion->first = motion->steps;
-        if (dal__vary_is_final(status) || (hopeless && status)) return status;
+        if (dal__is_final(status) || (hopeless && status)) return status;
         if (hopeless)
             return dal__fail(motion->error, DAL_ENOCONV, "no step is short enough: with h = %g the "
                              "estimated error is %g times the tolerance %g", length, error,
@@ -290,3 +310,29 @@ int dal__pace_step(dal_stepper *self)
         motion->stats->rejected++;
     }
 }
+
+static int step(dal_stepper *self, size_t steps, size_t *made)
+{
+    const dal__pace *const pace = self->controlled;
+    (void)steps; /* one at a time */
+    int status = dal__vary_begin(self, pace->h);
+    if (!status) status = one_step(self);
+    if (!status) dal__vary_end(self, pace->h);
+    *made = !status;
+    return status;
+}
+
+static void save(dal_stepper *self, dal__archive *a)
+{
+    dal__pace *const pace = self->controlled;
+    dal__archive_same(a, "tolerance", pace->tolerance);
+    dal__archive_same(a, "h_max", pace->h_max);
+    dal__archive_ahead(a, &pace->h);
+    dal__archive_positive(a, &pace->error);
+    dal__archive_positive(a, &pace->share);
+    dal__archive_real(a, &pace->seen);
+}
+
+const dal__control dal__controlled_steps = {.name = "error-controlled steps", .varies = true,
+                                      .wanted = wanted, .make = make, .check = check,
+                                      .start = start, .step = step, .save = save};
