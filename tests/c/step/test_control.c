@@ -67,9 +67,5 @@ int main(void)
     CHECK(memcmp(dal_stepper_state(stepper), dal_stepper_state(other), sizeof x) == 0);
     CHECK(dal_stepper_restore(fixed, values, count) == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(fixed)->text, "not the saved state of steps of fixed size"));
-    dal_stepper_free(fixed);
-    dal_stepper_free(other);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
     return check_done();
 }
