@@ -405,7 +405,7 @@ typedef struct dal_options {
                            not drift in close approaches for which steps of fixed size are too long.
                            The largest speed and rate so far define scales of rho.  Until they are
                            known, at the start and in the first encounters, steps are not
-                           reversible.  Excludes tolerance, h_max and keep_energy */
+                           reversible.  Excludes tolerance and h_max */
 } dal_options;
 
 /* The treatment of initial data (dal_stepper_start). */

@@ -27,8 +27,8 @@ _RUN = "max_iterations events journal journal_errors"
 KINDS = {
     "fixed": _kind("a fixed step at moved nodes", f"steps energy inputs hold check_h {_RUN}"),
     "kept": _kind("a fixed step at kept nodes", f"steps initial inputs hold check_h {_RUN}"),
-    "auto": _kind("h = 'auto'", f"tolerance h_max inputs hold {_RUN}"),
-    "reversible": _kind("h = 'reversible'", f"eps {_RUN}"),
+    "auto": _kind("h = 'auto'", f"tolerance h_max energy inputs hold {_RUN}"),
+    "reversible": _kind("h = 'reversible'", f"eps energy {_RUN}"),
     "flow": _kind(
         "the scheme 'reference'",
         "steps method tolerance inputs hold events journal journal_errors",

@@ -67,6 +67,19 @@ def test_the_scheme_keeps_its_order():
         assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.4)
 
 
+@pytest.mark.parametrize("given", [{"h": "auto", "tolerance": 1e-9}, {"h": "reversible"}])
+def test_steps_of_any_size_keep_it(given, tmp_path):
+    given = {"scheme": "leapfrog-kl8", "t_end": 4, "energy": "keep", **given}
+    run = dal.integrate(CURVED if given["h"] == "auto" else QUARTIC, **given)
+    exact = dal.integrate(run.system, "reference", h=1, steps=4).x[-1]
+    assert run.stats.scaled > 0 and abs(run.x[-1] - exact).max() < 1e-6
+    assert abs(run.energy - run.energy[0]).max() < 1e-14 * max(1, abs(run.energy[0]))
+    part = dal.integrate(run.system, **{**given, "t_end": 2}, journal=tmp_path / "run.dal")
+    assert part.t[-1] == 2
+    at = dal.integrate(run.system, **given, t_eval=[1.2345, 3.9])
+    assert abs(at.energy - run.energy[0]).max() < 1e-14 * max(1, abs(run.energy[0]))
+
+
 def test_a_run_that_cannot_keep_it_says_so():
     with pytest.warns(dal.DalembertWarning, match=r"not kept in \d+ of 2000 steps"):
         run = dal.integrate(PENDULUM, h=0.5, steps=2000, energy="keep")

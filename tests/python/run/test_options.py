@@ -169,9 +169,9 @@ def test_an_option_beside_another():
             "scheme 'reference'",
         ),
         (
-            {"h": "auto", "t_end": 1, "energy": "keep"},
-            "energy = 'keep': not used with h = 'auto'; remove it, or take a fixed step at moved "
-            "nodes",
+            {"scheme": "reference", "h": 1, "t_end": 1, "energy": "keep"},
+            "energy = 'keep': not used with the scheme 'reference'; remove it, or take a fixed step "
+            "at moved nodes, h = 'auto' or h = 'reversible'",
         ),
         (
             {"h": "auto", "t_end": 1, "check_h": True},
@@ -246,7 +246,7 @@ def test_studies_refuse_what_has_no_effect():
         ("--h 0.1 --h-max 1", "--h-max 1.0: not used with a fixed step; remove it, or take --h a"),
         ("--h 0.1 --initial D", "--initial D: not used"),
         ("--h 0.1 --journal-errors stop", "--journal-errors stop: not used without journal"),
-        ("--h auto --energy keep", "--energy keep: not used with --h auto"),
+        ("--h auto --initial D", "--initial D: not used with --h auto"),
         ("--h auto --steps 10", "--steps 10: not used with --h auto; give --t-end instead"),
     ],
 )
