@@ -11,7 +11,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-enum { VERSION = 2, BYTE_ORDER_MARK = 0x01020304, BLOCK = 1 << 16 };
+enum { VERSION = 3, BYTE_ORDER_MARK = 0x01020304, BLOCK = 1 << 16 };
 
 static const char MAGIC[8] = "dalrun\r\n"; /* which a transfer as text would change */
 

@@ -109,8 +109,8 @@ typedef struct dal__control {
     bool (*wanted)(const dal_options *options);
     /* NULL: nothing to be made.  DAL_EINVAL, DAL_EUNSUPPORTED. */
     int (*make)(dal_stepper *stepper, const dal_options *options, dal_error *error);
-    /* DAL_EINVAL in stepper->error unless steps may begin at t with h: infinite if the control is to
-     * find the size. */
+    /* DAL_EINVAL in stepper->error unless steps may begin at t with h, infinite if the control is
+     * to find it. */
     int (*check)(dal_stepper *stepper, double t, double h);
     /* *first <- the size of a first step from the consistent x[2n] at t, by h.  Nothing changes on
      * failure.  The errors of the field, whose text is in mech->error.  NULL: it is h. */

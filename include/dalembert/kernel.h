@@ -193,7 +193,7 @@ struct dal_kernel {
 
     double range[2];       /* bounds of 1/|det S|, or with at.rows of its log2, see look */
     double t0, h;          /* step k begins at t0 + k h */
-    size_t number;         /* of the next step */
+    size_t number;         /* the k of the next step */
     const double *weight;  /* [stages+1] weights, and the array for the sum of weight[i] (Y_i - Y_0)
                               over the */
     double *estimate;      /* states Y_i between the stages of a step, [2n]; or NULL */

@@ -4,7 +4,7 @@
 
 #include "step/step.h"
 
-/* ---- the control ------------------------------------------------------------------------------ */
+/* ---- the control ------------------------------------------------------------------------ */
 
 static int make(dal_stepper *self, const dal_options *options, dal_error *error)
 {
@@ -34,7 +34,7 @@ static const dal__control in_turn = {.name = "steps of h and 2 h in turn", .vari
                                      .make = make, .check = dal__stepper_check_times, .step = step,
                                      .save = save};
 
-/* ---- what it does ----------------------------------------------------------------------------- */
+/* ---- what it does ----------------------------------------------------------------------- */
 
 static dal_stepper *controlled(const dal_system *system, const dal_scheme *scheme)
 {

@@ -170,8 +170,8 @@ def test_an_option_beside_another():
         ),
         (
             {"scheme": "reference", "h": 1, "t_end": 1, "energy": "keep"},
-            "energy = 'keep': not used with the scheme 'reference'; remove it, or take a fixed step "
-            "at moved nodes, h = 'auto' or h = 'reversible'",
+            "energy = 'keep': not used with the scheme 'reference'; remove it, or take a fixed "
+            "step at moved nodes, h = 'auto' or h = 'reversible'",
         ),
         (
             {"h": "auto", "t_end": 1, "check_h": True},
