@@ -391,32 +391,44 @@ static dal_system *open_curved(unsigned missing, bool forced)
 static const double curved_start[6] = {0.3, 0.4, -0.2, 0.8, 0.5, 0.38};
 
 /* K and B are the derivatives of R1 and R2 in w, by differences of order 4. */
-static void test_step_derivatives(void)
+static void check_step_derivatives(const dal_system *system, const double *x, const double *w,
+                                   const double *kappa)
 {
-    dal_system *const system = open_curved(0, true);
+    enum { MOST = 4 };
+    const size_t n = dal_system_n(system), m = dal_system_m(system);
     dal_mechanics *const mech = open_mechanics(system);
-    const double w[3] = {0.7, 0.6, 0.4}, kappa[1] = {0.07}, d = 1e-3;
+    const double d = 1e-3, h = 0.2, t = 0.3;
     for (int b = 0; b <= 4; b++) {
-        const double beta = 0.25 * b, h = 0.2, t = 0.3;
-        double K[9], B[3];
-        CHECK(dal_step_equations(mech, t, beta, h, curved_start, w, kappa, NULL, NULL, K, B, NULL)
-              == 0);
-        for (size_t j = 0; j < 3; j++) {
-            double slope[4] = {0.0};
+        const double beta = 0.25 * b;
+        double K[MOST * MOST], B[MOST * MOST];
+        CHECK(dal_step_equations(mech, t, beta, h, x, w, kappa, NULL, NULL, K, B, NULL) == 0);
+        for (size_t j = 0; j < n; j++) {
+            double slope[2 * MOST] = {0.0};
             static const int at[4] = {1, -1, 2, -2}, weight[4] = {8, -8, -1, 1};
             for (int k = 0; k < 4; k++) {
-                double moved[3], R1[3], R2;
-                memcpy(moved, w, sizeof moved);
+                double moved[MOST], R1[MOST], R2[MOST];
+                memcpy(moved, w, n * sizeof *moved);
                 moved[j] += at[k] * d;
-                CHECK(dal_step_equations(mech, t, beta, h, curved_start, moved, kappa, R1, &R2,
-                                         NULL, NULL, NULL) == 0);
-                for (size_t i = 0; i < 3; i++) slope[i] += weight[k] * R1[i] / (12 * d);
-                slope[3] += weight[k] * R2 / (12 * d);
+                CHECK(dal_step_equations(mech, t, beta, h, x, moved, kappa, R1, R2, NULL, NULL,
+                                         NULL) == 0);
+                for (size_t i = 0; i < n; i++) slope[i] += weight[k] * R1[i] / (12 * d);
+                for (size_t a = 0; a < m; a++) slope[n + a] += weight[k] * R2[a] / (12 * d);
             }
-            for (size_t i = 0; i < 3; i++) CHECK_NEAR(K[i * 3 + j], slope[i], 1e-8);
-            CHECK_NEAR(B[j], slope[3], 1e-10);
+            for (size_t i = 0; i < n; i++) CHECK_NEAR(K[i * n + j], slope[i], 1e-8);
+            for (size_t a = 0; a < m; a++) CHECK_NEAR(B[a * n + j], slope[n + a], 1e-10);
         }
     }
+    release(mech);
+}
+
+static void test_step_derivatives(void)
+{
+    double x[8];
+    generic4_state(x);
+    check_step_derivatives(open_curved(0, true), curved_start, (double[]){0.7, 0.6, 0.4},
+                           (double[]){0.07});
+    check_step_derivatives(open_deformed_nodes(open_system("generic4"), 0.3), x,
+                           (double[]){0.5, -0.2, 0.4, 0.3}, (double[]){0.07, -0.05});
 }
 
 /* The flow stays in D though nothing projects it on the way, and keeps dE/dt = the two powers. */

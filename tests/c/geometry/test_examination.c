@@ -813,6 +813,7 @@ static void test_rough(void)
             CHECK(report.V_q.checked && !report.V_q.wrong && report.V_q.unjudged == 0);
             CHECK(report.V_qq.wrong == wrong && report.V_qq.unjudged == 0);
             CHECK(finds(&report, wrong ? "V_qq[0,0] is given as" : "agree with finite"));
+            CHECK(!finds(&report, "not judged"));
         }
 }
 

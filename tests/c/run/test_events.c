@@ -287,6 +287,29 @@ static void test_grazing(const dal_system *ball)
     }
 }
 
+/* The speed across is below a bound, twice in one step: from its middle on v is the opposite. */
+static int slow(double t, const double *x, double *g, void *ctx)
+{
+    *g = 1e-3 - x[3] * x[3];
+    return 0;
+}
+
+static void test_twice_by_velocity(const dal_system *ball)
+{
+    const double h = 0.2, x0[4] = {0.0, 0.0, 1.0, 0.5 * g0 * h}, half = sqrt(1e-3) / g0;
+    const dal_event list[] = {{.g = slow}};
+    dal_stepper *const stepper = start_at(ball, "leapfrog", 0.0, h, x0);
+    dal_events *const events = events_of(stepper, "leapfrog", list, 1);
+    seen s = {.n = 2};
+    dal_run run = {.stepper = stepper, .steps = 2, .stride = 1, .events = events,
+                   .happened = happened, .happened_ctx = &s};
+    CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS && s.count == 2);
+    CHECK_NEAR(s.t[0], 0.5 * h - half, 1e-13);
+    CHECK_NEAR(s.t[1], 0.5 * h + half, 1e-13);
+    dal_events_free(events);
+    release(stepper);
+}
+
 /* Bounces that accumulate, a ball at rest; two walls at once; a reset that throws far. */
 static int wrap(double t, double *x, void *ctx)
 {
@@ -752,6 +775,7 @@ int main(void)
     check_looking("midpoint", -0.05);
     check_looking("reference", 0.05);
     test_grazing(ball);
+    test_twice_by_velocity(ball);
     test_resets(ball);
     test_terminal(ball);
     test_reactions();

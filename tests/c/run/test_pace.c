@@ -303,6 +303,12 @@ static void test_saved(void)
         CHECK(dal_stepper_time(one) == dal_stepper_time(other));
         CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(other), N * sizeof *bad) == 0);
     }
+    enum { NEXT_H = 13 };
+    memcpy(bad, values, count * sizeof *bad);
+    bad[NEXT_H] = -bad[NEXT_H];
+    CHECK(dal_stepper_restore(other, bad, count) == DAL_EINVAL);
+    CHECK(strstr(dal_stepper_error(other)->text, "values[13]") != NULL);
+    CHECK(strstr(dal_stepper_error(other)->text, "not of the sign of h") != NULL);
     for (size_t i = count - 1; i < count; i--) { /* no number may lead astray without a word */
         memcpy(bad, values, count * sizeof *bad);
         bad[i] = -1.5;

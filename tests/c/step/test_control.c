@@ -28,11 +28,14 @@ static int step(dal_stepper *self, size_t steps, size_t *made)
     return status;
 }
 
+/* In another state the short step comes first. */
+static void land(dal_stepper *self) { *(bool *)self->controlled = false; }
+
 static void save(dal_stepper *self, dal__archive *a) { dal__archive_flag(a, self->controlled); }
 
 static const dal__control in_turn = {.name = "steps of h and 2 h in turn", .varies = true,
                                      .make = make, .check = dal__stepper_check_times, .step = step,
-                                     .save = save};
+                                     .land = land, .save = save};
 
 /* ---- what it does ----------------------------------------------------------------------- */
 
@@ -65,6 +68,9 @@ int main(void)
     CHECK(dal_step(stepper, NULL) == DAL_SUCCESS && dal_step(stepper, NULL) == DAL_EINVAL);
     CHECK(dal_step(other, NULL) == DAL_SUCCESS && dal_stepper_time(other) == 2.25);
     CHECK(memcmp(dal_stepper_state(stepper), dal_stepper_state(other), sizeof x) == 0);
+    CHECK(dal_step(other, NULL) == DAL_SUCCESS && dal_stepper_time(other) == 2.5);
+    CHECK(dal__stepper_land(other, x, 0.0) == DAL_SUCCESS); /* after a short one, another */
+    CHECK(dal_step(other, NULL) == DAL_SUCCESS && dal_stepper_time(other) == 2.625);
     CHECK(dal_stepper_restore(fixed, values, count) == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(fixed)->text, "not the saved state of steps of fixed size"));
     return check_done();

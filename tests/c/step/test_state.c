@@ -112,7 +112,9 @@ static bool same_stats(const dal_stats *a, const dal_stats *b)
         && a->scaled == b->scaled && a->unscaled == b->unscaled
         && a->uncontrolled == b->uncontrolled
         && a->jump_step == b->jump_step && a->jump == b->jump
-        && a->largest_kinetic == b->largest_kinetic;
+        && a->largest_kinetic == b->largest_kinetic && a->least_pivot == b->least_pivot
+        && a->least_pivot_t == b->least_pivot_t && a->least_pivot_rows == b->least_pivot_rows
+        && a->rank_doubts == b->rank_doubts;
 }
 
 /* ---- legs ----------------------------------------------------------------------------------- */
