@@ -737,6 +737,42 @@ static void test_metric_stands(void)
     CHECK(memcmp(mech->L_vv, here, n * n * sizeof *here) != 0);
 }
 
+/* mu = (x, 0), whose pivot is x^2.  A step that takes x through 0, or in few steps would, raises a
+ * doubt, unless the pivot is large at both ends: then mu may have turned as that of a wheel. */
+static int through_zero(double t, const double *q, const double *v, double *phi, double *phi_v,
+                        double *phi_q, double *phi_t, void *ctx)
+{
+    if (phi) phi[0] = q[0] * v[0];
+    if (phi_v) memcpy(phi_v, (double[]){q[0], 0.0}, 2 * sizeof *phi_v);
+    if (phi_q) memcpy(phi_q, (double[]){v[0], 0.0}, 2 * sizeof *phi_q);
+    return 0;
+}
+
+static void test_rank_on_the_way(void)
+{
+    static const struct {
+        double to;
+        size_t doubts;
+    } steps[] = {{-0.5, 1}, {0.4, 1}, {0.6, 0}, {-0.9, 0}};
+    const double mass[4] = {1.0, 0.0, 0.0, 1.0};
+    const dal_system_def def = {.n = 2, .m = 1, .mass = mass, .constraint = through_zero};
+    dal_mechanics *const mech = open_mechanics(new_system(&def));
+    for (size_t k = 0; k < DAL_LENGTH(steps); k++) {
+        const double x[4] = {1.0, 0.0, steps[k].to - 1.0, 0.3};
+        dal__rank rank = {0};
+        arena memory = {0};
+        dal__rank_reserve(&rank, 2, 1, &memory);
+        need(dal__allocate(&memory, NULL), "rank", "memory");
+        CHECK(dal__forms_at(mech, 0.0, 0.0, x, false) == 0);
+        dal__rank_find(&rank, mech);
+        dal__rank_start(&rank, 1);
+        CHECK(dal__rank_pass(&rank, mech, 0.0, 0.0, 1.0, 2, x) == 0);
+        check_true(rank.doubts == steps[k].doubts, "doubts", "step", (int)k);
+        CHECK_NEAR(rank.least, steps[k].to < 0.0 ? 0.0 : steps[k].to * steps[k].to, 1e-15);
+        dal__release(&memory);
+    }
+}
+
 int main(void)
 {
     test_particle();
@@ -759,5 +795,6 @@ int main(void)
     test_errors();
     test_no_constraint();
     test_metric_stands();
+    test_rank_on_the_way();
     return check_done();
 }

@@ -256,6 +256,27 @@ static void test_even_turns(void)
     }
 }
 
+/* The heading of the free disk, after many steps, is the exact one but for its own rounding. */
+static void test_free_heading(void)
+{
+    enum { STEPS = 20000 };
+    static const char *const schemes[] = {"leapfrog", "midpoint"};
+    const double steps[] = {0.1, 0.07};
+    dal_system *const system = open_system("disk");
+    for (int k = 0; k < 4; k++) {
+        double x[8] = {0.0, 0.0, 0.1, 1000.3, 0.0, 0.0, 0.4, 0.7};
+        dal_mechanics *const mechanics = open_mechanics(system);
+        CHECK(dal_project(mechanics, 0.0, 0.0, x, NULL) == 0);
+        dal_stepper *const stepper = start_named(system, schemes[k / 2], steps[k % 2], x);
+        CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
+        const double *const end = dal_stepper_state(stepper);
+        const long double exact = (long double)x[3] + (long double)STEPS * steps[k % 2] * x[7];
+        CHECK(end[7] == x[7]);
+        CHECK(fabsl(end[3] - exact) <= nextafter(end[3], HUGE_VAL) - end[3]);
+        release(mechanics);
+    }
+}
+
 /* Midpoint conserves E where lambda.mu(q_k)(v + v1) = 0: on the disk, on heisenberg with its
  * quadratic V.  A step errs by 4 u E at most, where Newton stops, and its errors may all be of one
  * sign.  (On heisenberg other schemes err by h^2.) */
@@ -1073,6 +1094,7 @@ int main(void)
     test_equations();
     test_roundings();
     test_even_turns();
+    test_free_heading();
     test_exact_energy();
     test_momenta();
     test_adjoints();

@@ -508,6 +508,13 @@ def test_differenced_are_in_the_statistics(own):
     np.testing.assert_allclose(run.x, full.x, atol=TOLERANCE)
 
 
+def test_a_differenced_gradient_needs_no_full_newton():
+    spring = dal.System(mass=[1], potential=lambda q: q[0] ** 2 / 2, q0=[1], v0=[0])
+    run = dal.integrate(spring, "leapfrog", h=0.1, steps=50)
+    assert run.stats.full_newtons == 0 and "gradient" in run.stats.differenced
+    assert run.q[-1, 0] == pytest.approx(np.cos(5), abs=0.005)
+
+
 class Doubtful(SimpleNamespace):
     """What a warning looks at."""
 

@@ -57,6 +57,13 @@ def test_estimate_and_warning(scheme, h, steps, large):
         assert text.startswith(TOO_LARGE) and "check_h=False" in text
 
 
+def test_a_run_of_which_only_the_first_part_is_made_again():
+    """Its estimate is that of the part, and grows with what the windows have of the rest."""
+    run, texts = told(dal.integrate, SPRING, "leapfrog", h=0.01, steps=200_000, stride=200_000)
+    assert run.stats.whole and 0.25 * 131_072 <= run.stats.remade < 200_000 and not texts
+    assert 0.3 < run.stats.error / error_on_spring(run) < 3
+
+
 def test_no_bit_of_the_run_depends_on_it():
     """Nor what is counted; and whoever watches or steers is not asked again."""
     asked = []
