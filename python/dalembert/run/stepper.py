@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,12 +14,12 @@ from ..core import Array, arguments, ffi, lib, require_system
 from ..core.errors import raised
 from ..system import System
 from .events import CONSISTENCY
-from .integration import doubt_start
-from .options import kind_of, require
+from .integration import doubt_start, with_method
+from .options import kind_of, require, word_of
 from .runs import one_row, started_stepper
 from .scheme import Scheme
 from .solution import Statistics, counts_of
-from .steps import options_of
+from .steps import control_of, how, options_of, with_eps
 
 _double = np.dtype(np.float64)
 
@@ -29,8 +31,11 @@ class Stepper:
 
     Parameters
     ----------
-    system, scheme, q0, v0, h, t0, consistent, initial, max_iterations, energy
-        As for `integrate`; h is a number.
+    system, scheme, q0, v0, t0, consistent, initial, max_iterations, energy
+        As for `integrate`.
+    h, tolerance, h_max, eps : float or str, float, float, float
+        As for `integrate`.  With "auto" and "reversible" the time increases, each step has its own
+        size, and `until` leads to a time.
     inputs : array_like, shape (k,), or mapping, optional
         Initial inputs, by default 0; `step` may change them.  If the constraints depend on inputs,
         v0 has to satisfy them with these.
@@ -65,8 +70,11 @@ class Stepper:
         q0: ArrayLike | None = None,
         v0: ArrayLike | None = None,
         *,
-        h: float,
+        h: float | str,
         t0: float = 0.0,
+        tolerance: float | None = None,
+        h_max: float | None = None,
+        eps: float | None = None,
         consistent: str = "check",
         initial: str | None = None,
         max_iterations: int | None = None,
@@ -75,24 +83,29 @@ class Stepper:
     ) -> None:
         require_system(system)
         self.system = system
-        self.scheme = Scheme.usual(system) if scheme is None else Scheme.of(scheme)
+        word = word_of(h)
+        self.scheme = Scheme.usual(system, word) if scheme is None else Scheme.of(scheme)
         self._t0 = arguments.number(t0, "t0")
-        if isinstance(h, str):
-            raise ValueError(
-                f"h = {h!r}: expected a number, because a Stepper has steps of fixed size"
-            )
-        step = arguments.step_size(h, self._t0)
         require(
-            kind_of(self.scheme), initial=initial, max_iterations=max_iterations, energy=energy
-        )
+            kind_of(self.scheme, word), initial=initial, max_iterations=max_iterations,
+            energy=energy, tolerance=tolerance, h_max=h_max, eps=eps,
+        )  # fmt: skip
+        self._control: Mapping[str, Any] = {}
+        self._first = math.inf
+        if self.scheme.is_reference and tolerance is not None:
+            self.scheme = with_method(self.scheme, None, tolerance)
+        if word is None:
+            self._first = arguments.step_size(h, self._t0)
+        else:
+            self._control = with_eps(control_of(word, tolerance, h_max, eps), self.scheme)
         self._how = (
             arguments.choice(consistent, "consistent", CONSISTENCY), self.scheme._initial(initial)
         )  # fmt: skip
-        options = options_of({}, max_iterations, energy)
+        options = options_of(self._control, max_iterations, energy)
         self._x0 = geometry.initial_state(system, q0, v0)
         self._u0 = arguments.inputs(inputs, system.inputs, 1)[0].copy()
         self._handle = started_stepper(
-            system, self.scheme, self._x0, t0=self._t0, h=step, consistency=self._how[0],
+            system, self.scheme, self._x0, t0=self._t0, h=self._first, consistency=self._how[0],
             initial=self._how[1], options=options, inputs=self._u0,
         )  # fmt: skip
         doubt_start(system, self._x0, self._t0, self._how[0])
@@ -130,6 +143,56 @@ class Stepper:
             self._set(inputs)
         if type(steps) is not int or steps != 1:
             steps = arguments.integer(steps, "steps", 0)
+        self._advance(steps)
+
+    def until(self, t: float, inputs: Any = None) -> None:
+        """Take steps of variable size up to a time, at which the last one ends.
+
+        If a step fails, the state is that after the last successful one.
+
+        Parameters
+        ----------
+        t : float
+            A time from that of the stepper on.
+        inputs : array_like, shape (k,), or mapping, optional
+            As for `step`.
+
+        Raises
+        ------
+        ValueError
+            If the stepper has a fixed step size, or t lies before its time; no step is taken.
+        SingularError, ConvergenceError, DomainError, Exception
+            As for `step`.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> stepper = dal.Stepper(dal.systems.sleigh(), h="auto", tolerance=1e-10)
+        >>> stepper.until(2.5)
+        >>> stepper.t
+        2.5
+        """
+        t = arguments.number(t, "t")
+        if not self._control:
+            raise ValueError(
+                f"t = {t!r}: until needs steps of variable size, h = 'auto' or h = 'reversible'; "
+                f"this stepper has h = {self._first:g}"
+            )
+        core.call(self.system.kind, lib.dal_stepper_until, self._handle, t)
+        try:
+            if inputs is not None:
+                self._set(inputs)
+            begin, impulse = self.t, np.zeros(self.system.m)
+            while self.t != t:
+                before = self.t
+                self._advance(1)
+                impulse += (self.t - before) * self._mean
+            if t != begin:
+                self._mean[:] = impulse / (t - begin)
+        finally:
+            core.call(self.system.kind, lib.dal_stepper_until, self._handle, math.inf)
+
+    def _advance(self, steps: int) -> None:
         raised.exception = None
         status = lib.dal_advance(self._handle, steps, self._c_mean, self._done)
         if status:
@@ -149,7 +212,7 @@ class Stepper:
 
     @property
     def h(self) -> float:
-        """The step size; after `restore`, that of the saved state."""
+        """The size of the last step, or of the first one; after `restore`, of the saved state."""
         return float(lib.dal_stepper_h(self._handle))
 
     @property
@@ -169,7 +232,7 @@ class Stepper:
 
     @property
     def t(self) -> float:
-        """The time, ``t0 + steps * h``."""
+        """The time; with a fixed step size ``t0 + steps * h``."""
         return float(lib.dal_stepper_time(self._handle))
 
     @property
@@ -256,8 +319,9 @@ class Stepper:
         self._set(self._u0)
         try:
             core.call(
-                self.system.kind, lib.dal_stepper_start, self._handle, t, self.h, x, *self._how
-            )
+                self.system.kind, lib.dal_stepper_start, self._handle, t,
+                self._first if self._control else self.h, x, *self._how,
+            )  # fmt: skip
         except BaseException:
             self._set(before)
             raise
@@ -265,4 +329,4 @@ class Stepper:
 
     def __repr__(self) -> str:
         name, scheme = self.system.name, self.scheme.name
-        return f"<Stepper of {name} by {scheme}, h = {self.h:g}: t = {self.t:g}>"
+        return f"<Stepper of {name} by {scheme}, {how(self.h, self._control)}: t = {self.t:g}>"

@@ -50,17 +50,7 @@ class Steps:
             return cls(t0, t0 + count * h, h, count, {})
         if t_end is None:
             raise ValueError(f"t_end is missing: with h = {h!r} the number of steps is not known")
-        control: dict[str, Any] = {"h": h}
-        if h == "auto":
-            control["tolerance"] = TOLERANCE if tolerance is None else tolerance
-        for name, given in (("h_max", h_max), ("eps", eps)):
-            if given is not None:
-                control[name] = given
-        for name in control.keys() - {"h"}:
-            value = arguments.number(control[name], name)
-            if not value > 0.0:  # C looks at its size; 0 is none there
-                raise ValueError(f"{name} = {control[name]!r}: expected a positive number")
-            control[name] = value
+        control = control_of(h, tolerance, h_max, eps)
         t_end = arguments.number(t_end, "t_end")
         if abs(t_end - t0) / control.get("h_max", math.inf) > 2.0**53:  # steps of roundoff
             raise ValueError(f"h_max = {h_max!r} is too small for t_end - t0 = {t_end - t0:g}")
@@ -68,11 +58,7 @@ class Steps:
 
     def by(self, record: Scheme) -> Steps:
         """Return the steps with the default eps of a scheme, if they are reversible."""
-        if self.control.get("h") != "reversible" or "eps" in self.control:
-            return self
-        eps, error = ffi.new("double *"), ffi.new("dal_error *")
-        core.verify(lib.dal_scheme_eps(record._record, eps, error), error)
-        return replace(self, control={**self.control, "eps": eps[0]})
+        return replace(self, control=with_eps(self.control, record))
 
     @property
     def varies(self) -> bool:
@@ -125,6 +111,31 @@ class Steps:
     def progress(self) -> tuple[Any, str]:
         """The total for the progress, and its unit."""
         return (abs(self.t_end - self.t0), "t") if self.varies else (self.count, "step")
+
+
+def control_of(h: str, tolerance: Any, h_max: Any, eps: Any) -> dict[str, Any]:
+    """Return the control of steps whose size varies: the word h, and its numbers."""
+    control: dict[str, Any] = {"h": h}
+    if h == "auto":
+        control["tolerance"] = TOLERANCE if tolerance is None else tolerance
+    for name, given in (("h_max", h_max), ("eps", eps)):
+        if given is not None:
+            control[name] = given
+    for name in control.keys() - {"h"}:
+        value = arguments.number(control[name], name)
+        if not value > 0.0:  # C looks at its size; 0 is none there
+            raise ValueError(f"{name} = {control[name]!r}: expected a positive number")
+        control[name] = value
+    return control
+
+
+def with_eps(control: Mapping[str, Any], record: Scheme) -> Mapping[str, Any]:
+    """Return a control with the default eps of a scheme, if its steps are reversible."""
+    if control.get("h") != "reversible" or "eps" in control:
+        return control
+    eps, error = ffi.new("double *"), ffi.new("dal_error *")
+    core.verify(lib.dal_scheme_eps(record._record, eps, error), error)
+    return {**control, "eps": eps[0]}
 
 
 def how(h: float, control: Mapping[str, Any]) -> str:

@@ -461,3 +461,59 @@ def test_refused_inputs(cart):
         dal.integrate(cart, h=0.1, t_end=1, h_max=1)
     with pytest.raises(ValueError, match="did you mean 'auto'\\? expected a number"):
         dal.integrate(cart, h="automatic", t_end=1)
+
+
+# ---- Stepper ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("given", [{"h": "auto", "tolerance": 1e-8}, {"h": "reversible"}])
+def test_a_stepper_has_the_steps_of_a_run(given):
+    system = dal.systems.robot()
+    run = dal.integrate(system, t_end=3, **given)
+    stepper = dal.Stepper(system, **given)
+    assert stepper.scheme == run.scheme and repr(given["h"]) in repr(stepper)
+    stepper.until(3)
+    assert stepper.t == 3 and stepper.steps == run.stats.steps
+    np.testing.assert_array_equal(stepper.x, run.x[-1])
+    mean = np.diff(run.t) @ run.reactions / 3
+    np.testing.assert_allclose(stepper.reaction, mean, rtol=1e-12, atol=1e-12)
+    saved = stepper.save()
+    stepper.step(steps=5)
+    assert stepper.t > 3 and stepper.steps == run.stats.steps + 5
+    other = dal.Stepper(system, **given)
+    other.restore(saved)
+    other.step(steps=5)
+    np.testing.assert_array_equal(other.x, stepper.x)
+    stepper.reset()
+    stepper.until(3)
+    np.testing.assert_array_equal(stepper.x, run.x[-1])
+
+
+def test_a_loop_with_inputs_until_times():
+    cart = dal.System(mass=[2], force=lambda t, q, v, u: u, inputs=["push"], q0=[0], v0=[0])
+    stepper = dal.Stepper(cart, "leapfrog-kl6", h="auto", h_max=0.3)
+    for k in range(1, 31):
+        stepper.until(k / 10, [3 * (1 - stepper.v[0])])
+        assert stepper.t == k / 10
+    assert stepper.v[0] == pytest.approx(1 - 0.85**30, rel=1e-12)
+
+
+def test_what_steppers_refuse():
+    robot = dal.systems.robot()
+    stepper = dal.Stepper(robot, h="auto")
+    stepper.until(1)
+    with pytest.raises(ValueError, match="t = 0.5: expected a time from 1 on"):
+        stepper.until(0.5)
+    assert stepper.t == 1
+    stepper.until(1)
+    assert stepper.t == 1
+    with pytest.raises(ValueError, match="^t = 1.0: until needs steps of variable size"):
+        dal.Stepper(robot, h=0.1).until(1)
+    with pytest.raises(ValueError, match="^tolerance = 1e-08: not used with a fixed step"):
+        dal.Stepper(robot, h=0.1, tolerance=1e-8)
+    with pytest.raises(ValueError, match="^tolerance = -1: expected a positive number"):
+        dal.Stepper(robot, h="auto", tolerance=-1)
+    loose, tight = (dal.Stepper(robot, "reference", h=1, tolerance=x) for x in (1e-3, 1e-12))
+    for one in (loose, tight):
+        one.step()
+    assert 0 < abs(loose.x - tight.x).max() < 0.1
