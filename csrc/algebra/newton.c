@@ -1,4 +1,4 @@
-/* Newton's iteration: the only one outside of the step routine, which judges by the same rule. */
+/* Newton's iteration: the only one outside of the step routine, which has a rule of its own. */
 #include "algebra/algebra.h"
 
 #include <math.h>

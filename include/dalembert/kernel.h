@@ -323,16 +323,8 @@ DAL_KERNEL_INLINE double dal_kernel_time(const dal_kernel *k, double number, dou
     return k->t0 + (number + c) * k->h;
 }
 
-/* Sums begin with their first term, or with -0.  The compiler can omit x + -0 = x, whereas 0 + x
- * costs an addition on the critical path. */
-DAL_KERNEL_INLINE double dal_kernel_sum(size_t n, const double *x)
-{
-    double sum = n > 0 ? fabs(x[0]) : 0.0;
-    for (size_t i = 1; i < n; i++) sum += fabs(x[i]);
-    return sum;
-}
-
-/* Row a of A[..*n], whose pattern is mask, times x[n]. */
+/* Row a of A[..*n], whose pattern is mask, times x[n].  Sums begin with their first term, or with
+ * -0: the compiler can omit x + -0 = x, whereas 0 + x costs an addition on the critical path. */
 DAL_KERNEL_INLINE double dal_kernel_dot(size_t n, unsigned long long mask, const double *A,
                                         size_t a, const double *x)
 {
