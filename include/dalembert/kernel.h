@@ -324,7 +324,7 @@ DAL_KERNEL_INLINE double dal_kernel_time(const dal_kernel *k, double number, dou
 }
 
 /* Row a of A[..*n], whose pattern is mask, times x[n].  Sums begin with their first term, or with
- * -0: the compiler can omit x + -0 = x, whereas 0 + x costs an addition on the critical path. */
+ * -0.  The compiler can omit x + -0 = x, whereas 0 + x costs an addition on the critical path. */
 DAL_KERNEL_INLINE double dal_kernel_dot(size_t n, unsigned long long mask, const double *A,
                                         size_t a, const double *x)
 {
