@@ -1,7 +1,8 @@
 """End states of every system, scheme and compilation, for whoever moves code of the steps.
 
-    ./dev shell python benchmarks/end_states.py before.json     # writes them, or
-    ./dev shell python benchmarks/end_states.py before.json     # ... compares, where there is one
+    ./dev shell python benchmarks/end_states.py states.json
+
+This writes the file, or, where there is one, says which states differ from those in it.
 
 A state is a digest of (t, q, v, reactions) after some hundred steps, or the name of the error.  It
 depends on the compiler and on the math library, so such a file stays on one machine.
@@ -23,7 +24,7 @@ import dalembert as dal
 from dalembert.core import lib
 
 sys.path[:0] = [str(Path(__file__).parents[1] / "tests/python" / x) for x in ("", "system")]
-from test_twins import MODELS, TWINS, pair_of  # noqa: E402
+from test_twins import TWINS, pair_of  # noqa: E402
 
 H, STEPS = 0.02, 200
 SCHEMES = [*(scheme.name for scheme in dal.schemes()), "0.3", "0.3-nodes"]
@@ -63,7 +64,7 @@ def in_lanes(system: dal.System, start: Any, scheme: str) -> str:
 
 def cases() -> Iterator[tuple[str, Callable[[], str]]]:
     """Yield the names of the states, and how each is computed."""
-    for name in [*TWINS, *MODELS]:
+    for name in [*TWINS, *dal.systems.names_in_sympy()]:
         in_c, model = pair_of(name) if name in TWINS else [getattr(dal.systems, name)()] * 2
         start = in_c.q0, in_c.v0
         compilations = {"model": model} if in_c is model else {"C": in_c, "model": model}
