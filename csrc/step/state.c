@@ -120,6 +120,9 @@ static int check_motion(dal_stepper *self, const double *values)
     const double steps = values[HEAD + 2], first = values[HEAD + 3];
     const int status = dal__stepper_check_times(self, t, h);
     if (status) return status;
+    if (steps + 1.0 == steps) /* which the number of a step, a double, does not grow beyond */
+        return dal__fail(&self->error, DAL_EINVAL, "values[%d] = %g: expected fewer than 2^53 "
+                         "steps", HEAD + 2, steps);
     if (!isfinite(t + (steps - first + 1.0) * h))
         return dal__fail(&self->error, DAL_EINVAL, "values[%d] = %g: so many steps of h = %g from "
                          "t = %g do not reach a finite time", HEAD + 2, steps, h, t);

@@ -395,6 +395,9 @@ static void check_spoiled(dal_stepper *home, dal_stepper *abroad, size_t N)
             CHECK(dal_step(abroad, NULL) == 0);
             CHECK(memcmp(next, dal_stepper_state(abroad), N * sizeof *next) == 0);
         }
+    standing full = good;
+    full.values[TAKEN] = 0x1p53; /* of which no next step has a number */
+    refused(abroad, full.values, count, "fewer than 2^53 steps");
     for (size_t k = 0; k <= count + 1; k++) {
         double longer[MOST_SAVED + 1] = {0.0};
         memcpy(longer, good.values, sizeof good.values);
