@@ -76,7 +76,7 @@ static double moves(void *ctx)
     return dal__velocity_moves(mech, mech->t, mech->shift, mech->point + mech->n);
 }
 
-/* Of the velocity v of mech->point for phi(q - shift v, v) = 0, along Z as it is. */
+/* The step of Newton for phi(q - shift v, v) = 0 with v of mech->point, along the rows of Z. */
 static int find_step(dal__newton *equations)
 {
     dal_mechanics *const mech = equations->ctx;

@@ -3,7 +3,7 @@
 
 #include <math.h>
 
-/* What is wrong with a number; NULL if nothing is. */
+/* Each returns why a number is refused, or NULL. */
 static const char *finite(double x) { return isfinite(x) ? NULL : "not finite"; }
 
 static const char *any(double x) { return isnan(x) ? "not a number" : NULL; }

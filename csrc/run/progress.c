@@ -24,7 +24,7 @@ double dal__run_begin_of_inputs(const dal_run *run, size_t k)
     return fabs(t - run->until) <= 8.0 * DAL_ROUNDOFF * fabs(run->until) ? run->until : t;
 }
 
-/* What is wrong with a run of steps whose size varies. */
+/* DAL_EINVAL unless the end and the inputs of a run with steps of varying size are valid. */
 static int check_varied(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;

@@ -108,7 +108,7 @@ static size_t steps_of_inputs(const dal_run *run, size_t most)
     return steps < most ? steps : most;
 }
 
-/* What happened in the step, with the times from `timed` on: to the journal and the callback. */
+/* Write the events of the step and the times from `timed` on to the journal; call happened. */
 static int report(const dal_run *run, size_t timed)
 {
     const dal_events *const e = run->events;

@@ -75,9 +75,9 @@ static int make(dal_stepper *self, const dal_options *options, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected a number from %g "
                          "(roundoff) to %g", tolerance, LEAST_TOLERANCE, MOST_TOLERANCE);
     const int order = self->scheme.order > q ? self->scheme.order : q;
-    dal__pace shape = {.q = q, .order = order, .noise = noise * ROUNDOFF * DAL_ROUNDOFF,
-                  .tolerance = tolerance, .allowed = PART * pow(tolerance, (order + 1.0) / order),
-                  .h_max = h_max}, *made;
+    dal__pace *made, shape = {.q = q, .order = order, .noise = noise * ROUNDOFF * DAL_ROUNDOFF,
+                              .tolerance = tolerance, .h_max = h_max,
+                              .allowed = PART * pow(tolerance, (order + 1.0) / order)};
     dal__reserve(&self->vary.arena, &made, 1, sizeof *made);
     DAL__RESERVE(&self->vary.arena, 2 * self->mech.n, &shape.estimate, &shape.field);
     dal__place_reserve(self, &shape.after, &self->vary.arena);
@@ -313,13 +313,8 @@ static int one_step(dal_stepper *self)
 
 static int step(dal_stepper *self, size_t steps, size_t *made)
 {
-    const dal__pace *const pace = self->controlled;
     (void)steps; /* one at a time */
-    int status = dal__vary_begin(self, pace->h);
-    if (!status) status = one_step(self);
-    if (!status) dal__vary_end(self, pace->h);
-    *made = !status;
-    return status;
+    return dal__vary_advance(self, one_step, &((const dal__pace *)self->controlled)->h, made);
 }
 
 static void save(dal_stepper *self, dal__archive *a)
@@ -333,6 +328,6 @@ static void save(dal_stepper *self, dal__archive *a)
     dal__archive_real(a, &pace->seen);
 }
 
-const dal__control dal__controlled_steps = {.name = "error-controlled steps", .varies = true,
-                                      .wanted = wanted, .make = make, .check = check,
-                                      .start = start, .step = step, .save = save};
+const dal__control dal__controlled_steps = {
+    .name = "error-controlled steps", .varies = true, .wanted = wanted, .make = make,
+    .check = check, .start = start, .step = step, .save = save};

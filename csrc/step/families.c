@@ -27,7 +27,7 @@ int dal_scheme_at(dal_scheme *scheme, size_t i)
     return DAL_EINVAL;
 }
 
-/* What there is, cut off where text[size] ends. */
+/* List the names of all schemes in text[size], truncated if it is too short. */
 static void list_schemes(size_t size, char *text)
 {
     dal_scheme scheme;

@@ -305,11 +305,7 @@ static int one_step(dal_stepper *self)
 static int step(dal_stepper *self, size_t steps, size_t *made)
 {
     (void)steps; /* one at a time */
-    int status = dal__vary_begin(self, self->motion.h);
-    if (!status) status = one_step(self);
-    if (!status) dal__vary_end(self, self->motion.h);
-    *made = !status;
-    return status;
+    return dal__vary_advance(self, one_step, &self->motion.h, made);
 }
 
 static void land(dal_stepper *self) { ((dal__reversible *)self->controlled)->settled = false; }
@@ -324,6 +320,6 @@ static void save(dal_stepper *self, dal__archive *a)
     dal__archive_flag(a, &of->settled);
 }
 
-const dal__control dal__reversible_steps = {.name = "reversible steps", .varies = true,
-                                      .wanted = wanted, .make = make, .check = check,
-                                      .start = start, .step = step, .land = land, .save = save};
+const dal__control dal__reversible_steps = {
+    .name = "reversible steps", .varies = true, .wanted = wanted, .make = make, .check = check,
+    .start = start, .step = step, .land = land, .save = save};

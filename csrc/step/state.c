@@ -6,7 +6,7 @@
 
 enum { VERSION = 10, HEAD = 5 };
 
-/* What the numbers are of: the version, n, m, system and scheme, and the control of the steps. */
+/* The head identifies a saved state: version, n, m, system and scheme, control of the steps. */
 static void form_head(const dal_stepper *self, double head[HEAD])
 {
     head[0] = VERSION;
@@ -32,7 +32,7 @@ static void save_counts(dal_stepper *self, dal__archive *a)
     dal__archive_real(a, &stats->initial_correction);
 }
 
-/* All but the head and what the family keeps. */
+/* Everything between the head and the data of the family. */
 static void save(dal_stepper *self, dal__archive *a)
 {
     dal_motion *const motion = &self->motion;
@@ -113,7 +113,7 @@ static int check_head(dal_stepper *self, const double *values, size_t count)
                      dal_stepper_saved(self));
 }
 
-/* Whether the motion at values[HEAD], ..., t0, h, steps and first, leads on. */
+/* DAL_EINVAL unless steps lead on from t0, h, steps and first, at values[HEAD]. */
 static int check_motion(dal_stepper *self, const double *values)
 {
     const double t = values[HEAD], h = values[HEAD + 1];

@@ -99,8 +99,8 @@ int dal__check_degree(dal_mechanics *mech, double t, const double *x, const char
  * <- how many.  The caller counts them.  The error is in motion->error. */
 int dal__scheme_steps(dal_stepper *stepper, size_t steps, size_t *made);
 
-/* What determines the size of the steps: each control is a file, and control.c lists them.  What it
- * has made is stepper->controlled. */
+/* A control determines the size of the steps.  Each is a file, and control.c lists them; its data
+ * are stepper->controlled. */
 typedef struct dal__control {
     const char *name;        /* "steps of fixed size" */
     bool varies;             /* each step begins where the one before ended, and has its own size;
@@ -119,23 +119,23 @@ typedef struct dal__control {
     int (*step)(dal_stepper *stepper, size_t steps, size_t *made);
     /* The state has become another one.  NULL: it does not matter. */
     void (*land)(dal_stepper *stepper);
-    /* What the next step depends on.  NULL: nothing. */
+    /* The data that the next step depends on.  NULL: none. */
     void (*save)(dal_stepper *stepper, dal__archive *a);
 } dal__control;
 extern const dal__control dal__fixed_steps, dal__controlled_steps, dal__reversible_steps;
 const dal__control *dal__control_of(const dal_options *options);
 
-/* What controls of steps that vary share (vary.c). */
+/* Data that the controls of steps of varying size share (vary.c). */
 typedef struct dal__vary {
     dal__place before;       /* a step */
     arena arena;             /* of what the control has made, too */
 } dal__vary;
 /* Memory for all that a control has reserved in stepper->vary.arena, and for the place before. */
 int dal__vary_make(dal_stepper *stepper, dal_error *error);
-/* Before and after a step whose size is about |h|: whether steps still lead on, and whether C keeps
- * its rank where they become short. */
-int dal__vary_begin(dal_stepper *stepper, double h);
-void dal__vary_end(dal_stepper *stepper, double h);
+/* The step of such a control: one step by step(stepper), whose next size is *h before and after it.
+ * First it checks that steps still lead on, and that C keeps its rank where they become short. */
+int dal__vary_advance(dal_stepper *stepper, int (*step)(dal_stepper *stepper), const double *h,
+                      size_t *made);
 /* A step of h from t, where the stepper stands; the caller counts it. */
 int dal__vary_step(dal_stepper *stepper, double t, double h);
 /* Whether a step failed for a reason that a shorter one would not have. */

@@ -21,20 +21,19 @@ int dal__vary_step(dal_stepper *self, double t, double h)
     return dal__scheme_steps(self, 1, &done);
 }
 
-int dal__vary_begin(dal_stepper *self, double h)
+int dal__vary_advance(dal_stepper *self, int (*step)(dal_stepper *stepper), const double *h,
+                      size_t *made)
 {
     struct dal__guards *const guards = &self->guards;
     dal_motion *const motion = &self->motion;
     const double t = dal_stepper_time(self);
-    const int status =
-        dal__creep_check(&guards->creep, t, fabs(self->until - t), motion->error);
-    if (status || !dal__creep_is_short(&guards->creep, h)) return status;
-    return dal__rank_look(&guards->rank, &self->mech, t, 0.0, guards->allowed, motion->x);
-}
-
-void dal__vary_end(dal_stepper *self, double h)
-{
-    dal__creep_step(&self->guards.creep, self->motion.t0 + self->motion.h, h);
+    int status = dal__creep_check(&guards->creep, t, fabs(self->until - t), motion->error);
+    if (!status && dal__creep_is_short(&guards->creep, *h))
+        status = dal__rank_look(&guards->rank, &self->mech, t, 0.0, guards->allowed, motion->x);
+    if (!status) status = step(self);
+    if (!status) dal__creep_step(&guards->creep, motion->t0 + motion->h, *h);
+    *made = !status;
+    return status;
 }
 
 double dal__vary_last(const dal_stepper *self, double t)
