@@ -1,6 +1,7 @@
 /* What happens between the steps of a run. */
 #include "run/events.h"
 #include "run/run.h"
+#include "step/scheme.h"
 
 #include <math.h>
 #include <string.h>

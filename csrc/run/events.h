@@ -7,7 +7,7 @@
 #define DAL__EVENTS_H
 
 #include "dalembert/events.h"
-#include "step/step.h"
+#include "step/stepper.h"
 
 #include <gsl/gsl_roots.h>
 

@@ -2,6 +2,7 @@
 #include "run/journal.h"
 #include "run/events.h"
 #include "run/run.h"
+#include "step/scheme.h"
 
 #include <string.h>
 

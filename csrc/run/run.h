@@ -4,7 +4,7 @@
 
 #include "dalembert/events.h"
 #include "dalembert/journal.h"
-#include "step/step.h"
+#include "step/stepper.h"
 
 /* One step of the run, with the events and the times asked for that lie in it.  A failure leaves
  * the stepper, the events and the run as they were.  run->ended: the run ends within the step, at

@@ -2,6 +2,9 @@
  * kernel.h, which leaves to the full Newton iteration what it does not solve. */
 #include "step/beta.h"
 #include "step/embedded.h"
+#include "step/newton.h"
+#include "step/scheme.h"
+#include "step/stepper.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -3,7 +3,7 @@
 #define DAL__BETA_H
 
 #include "dalembert/kernel.h"
-#include "step/step.h"
+#include "ground/ground.h"
 
 /* Its records with a name, and those that are not in the table. */
 enum { DAL__BETA_RECORDS = 20 };

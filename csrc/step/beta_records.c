@@ -1,5 +1,6 @@
 /* The records of the family beta: sub-steps {beta, fraction}, one after the other. */
 #include "step/beta.h"
+#include "step/scheme.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,5 +1,5 @@
 /* The controls of the size of steps. */
-#include "step/step.h"
+#include "step/control.h"
 
 static const dal__control *const controls[] = {&dal__reversible_steps, &dal__controlled_steps,
                                                &dal__fixed_steps};

@@ -11,6 +11,8 @@
  * the rounded t0 + h: so times do not gather roundoff, whatever the steps. */
 #include "step/controlled.h"
 
+#include "step/stepper.h"
+
 #include <math.h>
 #include <string.h>
 

@@ -2,7 +2,7 @@
 #ifndef DAL__CONTROLLED_H
 #define DAL__CONTROLLED_H
 
-#include "step/step.h"
+#include "step/place.h"
 
 typedef struct dal__pace {
     int q, order;            /* the estimate is O(h^(q+1)), the error O(h^(order+1)) */

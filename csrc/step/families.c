@@ -1,5 +1,7 @@
 /* The schemes of all families, by number and by name. */
-#include "step/step.h"
+#include "step/scheme.h"
+
+#include "system/system.h"
 
 #include <stdio.h>
 #include <string.h>

@@ -1,5 +1,7 @@
 /* Steps of one size h. */
-#include "step/step.h"
+#include "step/control.h"
+
+#include "step/stepper.h"
 
 static bool wanted(const dal_options *options)
 {

@@ -1,5 +1,6 @@
 /* The family flow: a step is the flow of the ODE on D over h, by an adaptive method. */
-#include "step/step.h"
+#include "geometry/geometry.h"
+#include "step/scheme.h"
 
 #include <math.h>
 

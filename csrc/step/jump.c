@@ -1,7 +1,7 @@
 /* An energy that jumps.  Where nothing does work on the system the energy of a step that
  * is sensible stays near what it was; one that was refused by nothing and yet has changed it by
  * more than half of the kinetic energy went astray. */
-#include "step/step.h"
+#include "step/jump.h"
 
 #include <math.h>
 #include <string.h>

@@ -3,6 +3,7 @@
 
 #include "dalembert/lanes.h"
 #include "step/beta.h"
+#include "step/stepper.h"
 
 #include <string.h>
 

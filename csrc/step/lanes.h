@@ -7,7 +7,7 @@
 #ifndef DAL__LANES_H
 #define DAL__LANES_H
 
-#include "step/step.h"
+#include "dalembert.h"
 
 /* What stands between the two cdef marks the Python package reads too, for tests. */
 

@@ -1,5 +1,8 @@
 /* Where a stepper is, what it has done, and the inputs that act on it. */
+#include "step/stepper.h"
+
 #include "step/beta.h"
+#include "step/scheme.h"
 
 #include <float.h>
 #include <math.h>

@@ -3,8 +3,10 @@
  * It does what kernel.h leaves to it, and steps with different maps for L and for D.  The matrix
  * [[K, -mu_k^T], [B, 0]] is reduced to the m x m Schur complement S = B K^-1 mu_k^T.  The guess is
  * the last step, scaled by h; where that fails, the state itself. */
-#include "step/step.h"
+#include "step/newton.h"
+
 #include "dalembert/residual.h"
+#include "discrete/discrete.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,6 +1,7 @@
 /* The family pair: the velocity integrator of two difference maps, one for L_d and one for D_d. */
-#include "dalembert/discrete.h"
-#include "step/step.h"
+#include "discrete/discrete.h"
+#include "step/newton.h"
+#include "step/scheme.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,5 +1,7 @@
 /* Where a motion is, to come back to. */
-#include "step/step.h"
+#include "step/place.h"
+
+#include "step/stepper.h"
 
 #include <string.h>
 

@@ -1,6 +1,7 @@
 /* Compute steps again with another h, and restore the motion afterwards. */
-#include "dalembert/family.h"
-#include "step/step.h"
+#include "step/remake.h"
+
+#include "step/stepper.h"
 
 #include <string.h>
 

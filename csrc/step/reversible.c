@@ -16,6 +16,9 @@
  * any size, and grow to that of sigma. */
 #include "step/reversible.h"
 
+#include "step/scheme.h"
+#include "step/stepper.h"
+
 #include <math.h>
 
 /* G is a difference of two sigma, in the middles between x and where the motion is after +-REACH h.

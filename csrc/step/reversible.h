@@ -2,7 +2,7 @@
 #ifndef DAL__REVERSIBLE_H
 #define DAL__REVERSIBLE_H
 
-#include "step/step.h"
+#include <stdbool.h>
 
 typedef struct dal__reversible {
     double eps;

@@ -14,7 +14,10 @@
  *
  * What scaling undoes would have added up in plain steps, to the drift of their energy, or, where h
  * is too large or V_q is not the gradient of V, to what no motion has: jump.c looks at the sum. */
-#include "step/step.h"
+#include "step/scaling.h"
+
+#include "step/stepper.h"
+#include "step/vary.h"
 
 #include <math.h>
 #include <string.h>

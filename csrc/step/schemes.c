@@ -1,5 +1,7 @@
 /* The record of a scheme: its sub-steps, and what follows from them. */
-#include "step/step.h"
+#include "step/scheme.h"
+
+#include "system/system.h"
 
 #include <math.h>
 

@@ -1,5 +1,7 @@
 /* All that the next step of a stepper depends on, as numbers: to go on elsewhere, bit for bit. */
-#include "step/step.h"
+#include "step/stepper.h"
+
+#include "step/scheme.h"
 
 #include <math.h>
 #include <string.h>

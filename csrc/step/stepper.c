@@ -1,6 +1,7 @@
 /* A system, a scheme and a state that is stepped. */
-#include "dalembert/family.h"
-#include "step/beta.h"
+#include "step/stepper.h"
+
+#include "step/scheme.h"
 
 #include <math.h>
 #include <string.h>

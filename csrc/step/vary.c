@@ -1,5 +1,7 @@
 /* Steps whose size varies: each begins where the one before ended. */
-#include "step/step.h"
+#include "step/vary.h"
+
+#include "step/stepper.h"
 
 #include <math.h>
 

@@ -9,7 +9,7 @@
  *     h^p g = (chi_0'/h) (F1 - F2) + chi_0 f(F1) + chi_1 f(F2) - f(z),
  * F1 = F(h tau, y), F2 = F(h tau - h, Phi(y)). */
 #include "dalembert/study.h"
-#include "step/step.h"
+#include "step/stepper.h"
 
 #include <math.h>
 

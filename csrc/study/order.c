@@ -12,7 +12,8 @@
  * (p - 1, s - 1), and the errors at t_end the slope p. */
 #include "dalembert/study.h"
 #include "step/embedded.h"
-#include "step/step.h"
+#include "step/scheme.h"
+#include "step/stepper.h"
 
 #include <math.h>
 #include <stdio.h>

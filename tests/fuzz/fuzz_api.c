@@ -10,7 +10,7 @@
  * The sanitizers and GSL's handler, which aborts, see the rest. */
 #include "dalembert/ensemble.h"
 #include "dalembert/study.h"
-#include "step/step.h"
+#include "step/stepper.h"
 
 #include <math.h>
 #include <stdint.h>

@@ -4,6 +4,8 @@
 #include "oracle/multiroot.h"
 
 #include "step/beta.h"
+#include "step/scheme.h"
+#include "step/stepper.h"
 
 #include <gsl/gsl_multiroots.h>
 #include <math.h>

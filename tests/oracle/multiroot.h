@@ -3,7 +3,7 @@
 #ifndef ORACLE_MULTIROOT_H
 #define ORACLE_MULTIROOT_H
 
-#include "step/step.h"
+#include "step/stepper.h"
 
 extern const dal_family multiroot_family;
 

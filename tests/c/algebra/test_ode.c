@@ -1,7 +1,6 @@
 /* The adaptive integrator against equations with known solutions, and how it fails. */
 #include "check.h"
 #include "fixtures.h"
-#include "step/step.h"
 
 #include <gsl/gsl_errno.h>
 #include <gsl/gsl_odeiv2.h>

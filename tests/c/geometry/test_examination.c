@@ -1,7 +1,6 @@
 /* dal_system_check: right systems pass, and each way to be wrong is found and named. */
 #include "check.h"
 #include "fixtures.h"
-#include "step/step.h"
 
 #include <gsl/gsl_errno.h>
 

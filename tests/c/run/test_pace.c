@@ -6,6 +6,8 @@
 #include "dalembert/events.h"
 #include "step/controlled.h"
 #include "step/embedded.h"
+#include "step/scheme.h"
+#include "step/stepper.h"
 
 enum { MOST = 20000, MOST_2N = 16 };
 

@@ -5,6 +5,7 @@
 #include "dalembert/ensemble.h"
 #include "dalembert/events.h"
 #include "step/reversible.h"
+#include "step/stepper.h"
 
 enum { MOST_2N = 16, MOST = 4000 };
 

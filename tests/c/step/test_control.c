@@ -2,7 +2,7 @@
 #include "fixtures.h"
 #include "check.h"
 
-#include "step/step.h"
+#include "step/stepper.h"
 
 /* ---- the control ------------------------------------------------------------------------ */
 

@@ -5,6 +5,7 @@
 
 #include "dalembert/kernel.h"
 #include "step/beta.h"
+#include "step/stepper.h"
 
 /* What the callbacks of uneven_edge read; its kernel gets it as ctx. */
 typedef struct blade {

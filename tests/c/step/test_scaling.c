@@ -6,7 +6,7 @@
 #include "dalembert/ensemble.h"
 #include "dalembert/events.h"
 #include "dalembert/family.h"
-#include "step/step.h"
+#include "step/stepper.h"
 
 enum { MOST_2N = 16, MOST_SAVED = 220 };
 

@@ -3,6 +3,7 @@
 #include "check.h"
 
 #include "step/beta.h"
+#include "step/scheme.h"
 #include "dalembert/study.h"
 
 #include <locale.h>

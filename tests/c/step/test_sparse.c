@@ -4,6 +4,8 @@
 #include "check.h"
 #include "dalembert/study.h"
 #include "step/beta.h"
+#include "step/scheme.h"
+#include "step/stepper.h"
 
 enum { MOST_LINKS = 14, MOST_COORDINATES = 3 * MOST_LINKS, KINDS = 4 };
 

@@ -7,6 +7,8 @@
 #include "check.h"
 
 #include "step/beta.h"
+#include "step/scheme.h"
+#include "step/stepper.h"
 
 #define ROUNDOFF (64 * U)
 

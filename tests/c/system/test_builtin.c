@@ -2,7 +2,6 @@
  * differences and against numbers computed elsewhere with 30 digits or more. */
 #include "check.h"
 #include "fixtures.h"
-#include "step/step.h"
 
 #include <stdlib.h>
 #include <string.h>

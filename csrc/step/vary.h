@@ -1,0 +1,28 @@
+/* vary.h - parts shared by controls of variable steps. */
+#ifndef DAL__VARY_H
+#define DAL__VARY_H
+
+#include "step/place.h"
+
+/* Data that the controls of steps of varying size share (vary.c). */
+typedef struct dal__vary {
+    dal__place before;       /* a step */
+    arena arena;             /* of what the control has made, too */
+} dal__vary;
+/* Memory for all that a control has reserved in stepper->vary.arena, and for the place before. */
+int dal__vary_make(dal_stepper *stepper, dal_error *error);
+/* The step of such a control: one step by step(stepper), whose next size is *h before and after it.
+ * First it checks that steps still lead on, and that C keeps its rank where they become short. */
+int dal__vary_advance(dal_stepper *stepper, int (*step)(dal_stepper *stepper), const double *h,
+                      size_t *made);
+/* A step of h from t, where the stepper stands; the caller counts it. */
+int dal__vary_step(dal_stepper *stepper, double t, double h);
+/* Whether a step failed for a reason that a shorter one would not have. */
+static inline bool dal__is_final(int status)
+{
+    return status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL;
+}
+/* The step from t that ends at the time where one is to end. */
+double dal__vary_last(const dal_stepper *stepper, double t);
+
+#endif /* DAL__VARY_H */
