@@ -22,8 +22,34 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
+from ..core.documentation import Shared
 from ..core.functions import OfTimeTwo
 from ..geometry.mechanics import halves, vectors
+
+
+class _Documented(Shared):
+    """Parameters and exceptions of the methods.
+
+    Parameters
+    ----------
+    system : System
+    h : float
+        The step.
+    q0, q1, q, v : array_like, shape (n,)
+    t : float, optional
+        Time of the pair of nodes, or of its state.
+
+    Raises
+    ------
+    ValueError
+        For invalid arguments.
+    DomainError
+        For a function of the system or of the map that is not defined.
+    SingularError
+        For a singular matrix of `regularity`.
+    ConvergenceError
+        For a Newton iteration that does not converge.
+    """
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -211,23 +237,13 @@ class Discrete(core.Constant):
 
     # ---- nodes and states ------------------------------------------------------------------
 
+    @_Documented("ValueError, DomainError")
     def state(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Pair:
         """Return the state (q, v) of a pair of nodes under the map of D_d (roloc).
-
-        Parameters
-        ----------
-        h : float
-            The step.
-        q0, q1 : array_like, shape (n,)
 
         Returns
         -------
         q, v : ndarray, shape (n,)
-
-        Raises
-        ------
-        ValueError, DomainError
-            As for the class.
 
         Examples
         --------
@@ -238,18 +254,11 @@ class Discrete(core.Constant):
         q, v = self._call(lib.dal_discrete_state, (2, self.system.n), h=h, q0=q0, q1=q1)
         return q, v
 
+    @_Documented("ValueError, DomainError")
     def nodes(self, h: float, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Pair:
         """Return the pair of nodes of a state: the inverse of `state`.
 
         A state in D gives a pair of D_d.
-
-        Parameters
-        ----------
-        h : float
-            The step.
-        q, v : array_like, shape (n,)
-        t : float, optional
-            Time of the state.
 
         Returns
         -------
@@ -257,8 +266,6 @@ class Discrete(core.Constant):
 
         Raises
         ------
-        ValueError, DomainError
-            As for the class.
         SingularError, ConvergenceError
             If your own map has no inverse there.
 
@@ -273,25 +280,13 @@ class Discrete(core.Constant):
 
     # ---- the discrete Lagrangian and constraint ----------------------------------------------
 
+    @_Documented("ValueError, DomainError")
     def lagrangian(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> float:
         """Return L_d(q0, q1) = h L(rho(q0, q1)) (aprox, Ld1).
-
-        Parameters
-        ----------
-        h : float
-            The step.
-        q0, q1 : array_like, shape (n,)
-        t : float, optional
-            Time of the state.
 
         Returns
         -------
         float
-
-        Raises
-        ------
-        ValueError, DomainError
-            As for the class.
 
         Examples
         --------
@@ -302,29 +297,17 @@ class Discrete(core.Constant):
         outputs = ((), ffi.NULL, ffi.NULL, ffi.NULL)
         return self._call(lib.dal_discrete_lagrangian, *outputs, t=t, h=h, q0=q0, q1=q1)
 
+    @_Documented("ValueError, DomainError")
     def lagrangian_derivatives(
         self, h: float, q0: ArrayLike, q1: ArrayLike , t: float = 0.0
     ) -> tuple[Array, Array, Array]:
         """Return D_1 L_d, D_2 L_d and D_1 D_2 L_d.
-
-        Parameters
-        ----------
-        h : float
-            The step.
-        q0, q1 : array_like, shape (n,)
-        t : float, optional
-            Time of the state.
 
         Returns
         -------
         D1, D2 : ndarray, shape (n,)
         D12 : ndarray, shape (n, n)
             Entry [i, j] is d2L_d/dq0_i dq1_j; accurate to about 1e-10 for your own map.
-
-        Raises
-        ------
-        ValueError, DomainError
-            As for the class.
 
         Examples
         --------
@@ -337,25 +320,13 @@ class Discrete(core.Constant):
         outputs = (ffi.NULL, (n,), (n,), (n, n))
         return self._call(lib.dal_discrete_lagrangian, *outputs, t=t, h=h, q0=q0, q1=q1)
 
+    @_Documented("ValueError, DomainError")
     def constraint(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> Array:
         """Return phi_d(q0, q1), which is zero for a pair of D_d (DiscNHSet).
-
-        Parameters
-        ----------
-        h : float
-            The step.
-        q0, q1 : array_like, shape (n,)
-        t : float, optional
-            Time of the state.
 
         Returns
         -------
         ndarray, shape (m,)
-
-        Raises
-        ------
-        ValueError, DomainError
-            As for the class.
 
         Examples
         --------
@@ -366,27 +337,15 @@ class Discrete(core.Constant):
         outputs = ((self.system.m,), ffi.NULL, ffi.NULL)
         return self._call(lib.dal_discrete_constraint, *outputs, t=t, h=h, q0=q0, q1=q1)
 
+    @_Documented("ValueError, DomainError")
     def constraint_derivatives(
         self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0
     ) -> Pair:
         """Return D_1 phi_d and D_2 phi_d.
 
-        Parameters
-        ----------
-        h : float
-            The step.
-        q0, q1 : array_like, shape (n,)
-        t : float, optional
-            Time of the state.
-
         Returns
         -------
         D1, D2 : ndarray, shape (m, n)
-
-        Raises
-        ------
-        ValueError, DomainError
-            As for the class.
 
         Examples
         --------
@@ -398,6 +357,7 @@ class Discrete(core.Constant):
         outputs = (ffi.NULL, *[(self.system.m, self.system.n)] * 2)
         return self._call(lib.dal_discrete_constraint, *outputs, t=t, h=h, q0=q0, q1=q1)
 
+    @_Documented("ValueError, DomainError")
     def momenta(
         self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0
     ) -> Pair:
@@ -407,9 +367,6 @@ class Discrete(core.Constant):
 
         Parameters
         ----------
-        h : float
-            The step.
-        q0, q1 : array_like, shape (n,)
         t : float, optional
             Time of the pair.  Generalized forces are part of the momenta.
 
@@ -417,11 +374,6 @@ class Discrete(core.Constant):
         -------
         minus, plus : ndarray, shape (n,)
             Momenta at q0 and at q1.
-
-        Raises
-        ------
-        ValueError, DomainError
-            As for the class.
 
         Examples
         --------
@@ -432,6 +384,7 @@ class Discrete(core.Constant):
         shape = (self.system.n,)
         return self._call(lib.dal_discrete_momenta, shape, shape, t=t, h=h, q0=q0, q1=q1)
 
+    @_Documented("ValueError, DomainError")
     def momentum(
         self,
         h: float,
@@ -448,22 +401,12 @@ class Discrete(core.Constant):
 
         Parameters
         ----------
-        h : float
-            The step.
-        q0, q1 : array_like, shape (n,)
         xi0, xi1 : array_like, shape (n,)
             The generator of the symmetry at q0 and at q1.
-        t : float, optional
-            Time of the pair.
 
         Returns
         -------
         minus, plus : float
-
-        Raises
-        ------
-        ValueError, DomainError
-            As for the class.
 
         Examples
         --------
@@ -478,6 +421,7 @@ class Discrete(core.Constant):
 
     # ---- the discrete equations --------------------------------------------------------------
 
+    @_Documented("ValueError, DomainError")
     def residual(
         self,
         h: float,
@@ -491,8 +435,6 @@ class Discrete(core.Constant):
 
         Parameters
         ----------
-        h : float
-            The step.
         q_before, q, q_after : array_like, shape (n,)
             Three nodes.
         multipliers : array_like, shape (m,)
@@ -504,11 +446,6 @@ class Discrete(core.Constant):
         -------
         ndarray, shape (n + m,)
             The n equations of momenta, then phi_d(q, q_after).
-
-        Raises
-        ------
-        ValueError, DomainError
-            As for the class.
 
         Examples
         --------
@@ -522,6 +459,7 @@ class Discrete(core.Constant):
         nodes = {"q_before": q_before, "q": q, "q_after": q_after}
         return self._call(lib.dal_discrete_residual, forces, shape, t=t, h=h, **nodes)
 
+    @_Documented("ValueError, DomainError")
     def regularity(self, h: float, q: ArrayLike, q_after: ArrayLike, t: float = 0.0) -> Regularity:
         """Return the matrix that has to be invertible to determine q_after (REG, RegularityDLA).
 
@@ -530,8 +468,6 @@ class Discrete(core.Constant):
 
         Parameters
         ----------
-        h : float
-            The step.
         q, q_after : array_like, shape (n,)
         t : float, optional
             Time of the preceding pair.
@@ -539,11 +475,6 @@ class Discrete(core.Constant):
         Returns
         -------
         Regularity
-
-        Raises
-        ------
-        ValueError, DomainError
-            As for the class.
 
         Examples
         --------
@@ -560,18 +491,11 @@ class Discrete(core.Constant):
         )
         return Regularity(matrix, int(sign[0]), *logarithm_and_condition)
 
+    @_Documented("ValueError, DomainError")
     def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> Pair:
         """Return the node after the pair (q0, q1) and the multipliers (NHFlow).
 
         The pair need not lie in D_d; the new one does.
-
-        Parameters
-        ----------
-        h : float
-            The step.
-        q0, q1 : array_like, shape (n,)
-        t : float, optional
-            Time of the pair.
 
         Returns
         -------
@@ -581,8 +505,6 @@ class Discrete(core.Constant):
 
         Raises
         ------
-        ValueError, DomainError
-            As for the class.
         SingularError
             If the matrix of `regularity` is singular.
         ConvergenceError
@@ -599,6 +521,7 @@ class Discrete(core.Constant):
         multipliers = (self.system.m,)
         return after, self._call(lib.dal_discrete_step, before, after, multipliers, t=t, h=h)
 
+    @_Documented("ValueError")
     def run(
         self, h: float, q0: ArrayLike, q1: ArrayLike, *, steps: int, t0: float = 0.0
     ) -> NodeRun:
@@ -606,8 +529,6 @@ class Discrete(core.Constant):
 
         Parameters
         ----------
-        h : float
-            The step.
         q0, q1 : array_like, shape (n,)
             The first two nodes, see `nodes`.
         steps : int
@@ -621,8 +542,6 @@ class Discrete(core.Constant):
 
         Raises
         ------
-        ValueError
-            As for the class.
         NotOnConstraintError
             If (q0, q1) does not lie in D_d; take a `step` first.
         DomainError, SingularError, ConvergenceError
@@ -652,6 +571,7 @@ class Discrete(core.Constant):
                 self._discretes.check(status, discrete, start + int(done[0]))
         return NodeRun(nodes, multipliers)
 
+    @_Documented("ValueError, DomainError, SingularError, ConvergenceError")
     def advance(
         self, h: float, q: ArrayLike, v: ArrayLike, t: float = 0.0
     ) -> tuple[Array, Array, Array]:
@@ -662,23 +582,14 @@ class Discrete(core.Constant):
 
         Parameters
         ----------
-        h : float
-            The step.
         q, v : array_like, shape (n,)
             A state in D.
-        t : float, optional
-            Time of the state.
 
         Returns
         -------
         q, v : ndarray, shape (n,)
         multipliers : ndarray, shape (m,)
             Forces.
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError, ConvergenceError
-            As for `step`.
 
         Examples
         --------
@@ -703,6 +614,7 @@ def _difference_map(value: Any, name: str) -> DifferenceMap:
         ) from None
 
 
+@_Documented("ValueError")
 def exact_velocity(
     system: Handle,
     h: float,
@@ -720,10 +632,8 @@ def exact_velocity(
 
     Parameters
     ----------
-    system : System
     h : float
         Time from q0 to q1, of either sign.
-    q0, q1 : array_like, shape (n,)
     t0 : float, optional
         Time at q0.
     tolerance : float, optional
@@ -737,8 +647,6 @@ def exact_velocity(
 
     Raises
     ------
-    ValueError
-        If an argument has another shape or is not finite, or h = 0.
     ConvergenceError
         If h is too large.
     DomainError, SingularError

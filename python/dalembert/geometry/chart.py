@@ -25,11 +25,39 @@ from numpy.typing import ArrayLike
 
 from .. import core
 from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
+from ..core.documentation import Shared
 from . import mechanics
 
 __all__ = ["Chart", "cutoff"]
 
 _log = logging.getLogger(__name__)
+
+
+class _Documented(Shared):
+    """Parameters and exceptions of the methods.
+
+    Parameters
+    ----------
+    q, v : array_like, shape (n,) or (N, n)
+    v : array_like, shape (n,) or (N, n), optional
+        Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
+    xi : array_like, shape (2n-m,) or (N, 2n-m)
+    t : float or array_like, shape (N,), optional
+        Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Inputs of the constraints and the force, in order or by name; default 0.
+
+    Raises
+    ------
+    ValueError
+        For invalid arguments.
+    DomainError
+        For a state outside the domain of a function.
+    SingularError
+        For undetermined dependent velocities.
+    ConvergenceError
+        For a Newton iteration that does not converge.
+    """
 
 
 class Chart(core.Constant):
@@ -152,25 +180,13 @@ class Chart(core.Constant):
 
     # ---- the connection ------------------------------------------------------------------
 
+    @_Documented("ValueError, DomainError, SingularError")
     def A(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Array:
         """Return A = B^-1 mu[:, independent], so that v_dependent = -A v_independent on D.
-
-        Parameters
-        ----------
-        q : array_like, shape (n,) or (N, n)
-        v : array_like, shape (n,) or (N, n), optional
-            Matters only if the constraints are nonlinear; default 0.
-        t : float or array_like, shape (N,), optional
-            Time of the states.
 
         Returns
         -------
         ndarray, shape (m, n-m) or (N, m, n-m)
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError
-            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -181,25 +197,13 @@ class Chart(core.Constant):
         n, m = self.system.n, self.system.m
         return self._of_states(lib.dal_chart_connection, q, v, t, (m, n - m), ffi.NULL)
 
+    @_Documented("ValueError, DomainError, SingularError")
     def B(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Array:
         """Return B = mu[:, dependent].
-
-        Parameters
-        ----------
-        q : array_like, shape (n,) or (N, n)
-        v : array_like, shape (n,) or (N, n), optional
-            Matters only if the constraints are nonlinear; default 0.
-        t : float or array_like, shape (N,), optional
-            Time of the states.
 
         Returns
         -------
         ndarray, shape (m, m) or (N, m, m)
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError
-            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -210,28 +214,16 @@ class Chart(core.Constant):
         m = self.system.m
         return self._of_states(lib.dal_chart_connection, q, v, t, ffi.NULL, (m, m))
 
+    @_Documented("ValueError, DomainError")
     def condition(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Any:
         """Return the largest ratio of v to v_independent, in the units 1/sqrt(M_ii).
 
         The value is at least 1, and does not depend on the forms that describe D.  It is infinite
         if the dependent velocities are not determined.
 
-        Parameters
-        ----------
-        q : array_like, shape (n,) or (N, n)
-        v : array_like, shape (n,) or (N, n), optional
-            Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
-        t : float or array_like, shape (N,), optional
-            Time of the states.
-
         Returns
         -------
         float or ndarray, shape (N,)
-
-        Raises
-        ------
-        ValueError, DomainError
-            For invalid arguments, or a state outside the domain of a function.
 
         Examples
         --------
@@ -241,6 +233,7 @@ class Chart(core.Constant):
         """
         return self._of_states(lib.dal_chart_condition, q, v, t, ())
 
+    @_Documented("ValueError, DomainError, SingularError")
     def renewed(self, q: ArrayLike, v: ArrayLike | None = None, t: float = 0.0) -> Chart:
         """Return a chart that is well conditioned at (q, v): this one, if it is.
 
@@ -259,11 +252,6 @@ class Chart(core.Constant):
         Chart
             This object if its condition is at most 10 sqrt(1 + m (n-m)), else a new chart.  For
             nonlinear constraints always a new chart, whose Newton iteration starts at v.
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError
-            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -286,24 +274,13 @@ class Chart(core.Constant):
         found = lib.dal_chart_dependent(chart)
         return Chart(system, q, v, [system.coordinates[found[a]] for a in range(system.m)], t)
 
+    @_Documented("ValueError, DomainError, SingularError, ConvergenceError")
     def split(self, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> Pair:
         """Return v = hor + ver: hor is in D, and ver is zero in the independent components.
-
-        Parameters
-        ----------
-        q, v : array_like, shape (n,) or (N, n)
-        t : float or array_like, shape (N,), optional
-            Time of the states.
 
         Returns
         -------
         hor, ver : ndarray, shape (n,) or (N, n)
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError, ConvergenceError
-            For invalid arguments, a state outside the domain, undetermined dependent velocities,
-            or a Newton iteration that does not converge.
 
         Examples
         --------
@@ -316,26 +293,13 @@ class Chart(core.Constant):
 
     # ---- psi -----------------------------------------------------------------------------
 
+    @_Documented("ValueError, DomainError, SingularError, ConvergenceError")
     def lift(self, xi: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None) -> Pair:
         """Return the state psi(xi), which lies in D to roundoff (Embedd).
-
-        Parameters
-        ----------
-        xi : array_like, shape (2n-m,) or (N, 2n-m)
-        t : float or array_like, shape (N,), optional
-            Time of the states.
-        inputs : array_like, shape (k,) or (N, k), or mapping, optional
-            Inputs of the constraints, in order or by name; default 0.
 
         Returns
         -------
         q, v : ndarray, shape (n,) or (N, n)
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError, ConvergenceError
-            For invalid arguments, a state outside the domain, undetermined dependent velocities,
-            or a Newton iteration that does not converge.
 
         Examples
         --------
@@ -346,21 +310,13 @@ class Chart(core.Constant):
         x = self._of_coordinates(lib.dal_chart_lift, xi, t, (2 * self.system.n,), inputs=inputs)
         return mechanics.halves(x)
 
+    @_Documented("ValueError")
     def drop(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return xi = (q, v_independent).
-
-        Parameters
-        ----------
-        q, v : array_like, shape (n,) or (N, n)
 
         Returns
         -------
         ndarray, shape (2n-m,) or (N, 2n-m)
-
-        Raises
-        ------
-        ValueError
-            For invalid arguments.
 
         Examples
         --------
@@ -371,26 +327,13 @@ class Chart(core.Constant):
         x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
         return self._charts.rows(lib.dal_chart_drop, single, x, (self._width,))
 
+    @_Documented("ValueError, DomainError, SingularError, ConvergenceError")
     def jacobian(self, xi: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None) -> Array:
         """Return d(q, v)/dxi of `lift` (EhresJota).
-
-        Parameters
-        ----------
-        xi : array_like, shape (2n-m,) or (N, 2n-m)
-        t : float or array_like, shape (N,), optional
-            Time of the states.
-        inputs : array_like, shape (k,) or (N, k), or mapping, optional
-            Inputs of the constraints, in order or by name; default 0.
 
         Returns
         -------
         ndarray, shape (2n, 2n-m) or (N, 2n, 2n-m)
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError, ConvergenceError
-            For invalid arguments, a state outside the domain, undetermined dependent velocities,
-            or a Newton iteration that does not converge.
 
         Examples
         --------
@@ -410,28 +353,15 @@ class Chart(core.Constant):
 
     # ---- dynamics ------------------------------------------------------------------------
 
+    @_Documented("ValueError, DomainError, SingularError, ConvergenceError")
     def field(self, xi: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None) -> Array:
         """Return dxi/dt of the ODE on D (ODExi, ODExiConnec), equivalent to `System.field`.
 
         Differences of the field linearize a controlled motion.
 
-        Parameters
-        ----------
-        xi : array_like, shape (2n-m,) or (N, 2n-m)
-        t : float or array_like, shape (N,), optional
-            Time of the states.
-        inputs : array_like, shape (k,) or (N, k), or mapping, optional
-            Inputs of the force, in order or by name; default 0.
-
         Returns
         -------
         ndarray, shape (2n-m,) or (N, 2n-m)
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError, ConvergenceError
-            For invalid arguments, a state outside the domain, undetermined dependent velocities,
-            or a Newton iteration that does not converge.
 
         Examples
         --------
@@ -454,6 +384,7 @@ class Chart(core.Constant):
         shape = (self._width,)
         return self._of_coordinates(lib.dal_chart_field, xi, t, shape, inputs=inputs)
 
+    @_Documented("ValueError, DomainError, SingularError")
     def multipliers(
         self,
         q: ArrayLike,
@@ -466,23 +397,13 @@ class Chart(core.Constant):
 
         Parameters
         ----------
-        q, v : array_like, shape (n,) or (N, n)
         multipliers : array_like, shape (m,) or (N, m), optional
             lambda.  Default: `System.multipliers` with these t and inputs.
-        t : float or array_like, shape (N,), optional
-            Time of the states.
-        inputs : array_like, shape (k,) or (N, k), or mapping, optional
-            Inputs of the force, in order or by name; default 0.
 
         Returns
         -------
         ndarray, shape (m,) or (N, m)
             lambda_E, forces.
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError
-            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -495,6 +416,7 @@ class Chart(core.Constant):
             multipliers = self.system.multipliers(q, v, t, inputs)
         return self._frame(lib.dal_chart_multipliers, q, v, multipliers, t)
 
+    @_Documented("ValueError, DomainError, SingularError")
     def multipliers_back(
         self, q: ArrayLike, v: ArrayLike, multipliers: ArrayLike, t: ArrayLike = 0.0
     ) -> Array:
@@ -504,20 +426,12 @@ class Chart(core.Constant):
 
         Parameters
         ----------
-        q, v : array_like, shape (n,) or (N, n)
         multipliers : array_like, shape (m,) or (N, m)
             lambda_E.
-        t : float or array_like, shape (N,), optional
-            Time of the states.
 
         Returns
         -------
         ndarray, shape (m,) or (N, m)
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError
-            For invalid arguments, a state outside the domain, or undetermined dependent velocities.
 
         Examples
         --------
@@ -542,6 +456,7 @@ class Chart(core.Constant):
         at = mechanics.times(t, x, single)
         return self._charts.rows(function, single, at, x, given, (m,))
 
+    @_Documented("ValueError, DomainError, SingularError, ConvergenceError")
     def step(
         self,
         xi: ArrayLike,
@@ -557,7 +472,6 @@ class Chart(core.Constant):
 
         Parameters
         ----------
-        xi : array_like, shape (2n-m,) or (N, 2n-m)
         h : float
         beta : float, optional
             Parameter of the scheme, in [0, 1]; 0.5 (default) is midpoint.
@@ -571,12 +485,6 @@ class Chart(core.Constant):
         xi : ndarray, shape (2n-m,) or (N, 2n-m)
         multipliers : ndarray, shape (m,) or (N, m)
             lambda_E at the node q + (1 - beta) h v: forces.
-
-        Raises
-        ------
-        ValueError, DomainError, SingularError, ConvergenceError
-            For invalid arguments, a state outside the domain, a singular matrix, or a Newton
-            iteration that does not converge.
 
         Examples
         --------

@@ -23,6 +23,34 @@ from numpy.typing import ArrayLike
 
 from .. import core
 from ..core import Array, Handle, Pair, arguments, ffi, lib
+from ..core.documentation import Shared
+
+
+class _Documented(Shared):
+    """Parameters and exceptions of the functions.
+
+    Parameters
+    ----------
+    system : System
+    q, v, q0, v0 : array_like, shape (n,) or (N, n)
+    v : array_like, shape (n,) or (N, n), optional
+        Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
+    shift : float, optional
+        A time, in the user's units; 0 is D, (1 - beta) h is D_eps.
+    t : float or array_like, shape (N,), optional
+        Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Inputs of the constraints and the force, in order or by name; default 0.
+
+    Raises
+    ------
+    ValueError
+        For invalid arguments.
+    DomainError
+        For a state outside the domain of a function.
+    SingularError
+        For constraints that lose rank.
+    """
 
 
 def most_in_a_call(system: Handle) -> int:
@@ -199,27 +227,16 @@ def _rows(
 # ---- functions -----------------------------------------------------------------------------
 
 
+@_Documented("ValueError, DomainError")
 def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> Any:
     """Return the energy E = L_v v - L at each state.
 
     For constant mass it is v^T M v / 2 + V(q).  It is conserved on D, unless there is a force, the
     constraint forces do work (see `power`), or L depends on time.
 
-    Parameters
-    ----------
-    system : System
-    q, v : array_like, shape (n,) or (N, n)
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-
     Returns
     -------
     float or ndarray, shape (N,)
-
-    Raises
-    ------
-    ValueError, DomainError
-        For invalid arguments, or a state outside the domain of a function.
 
     Examples
     --------
@@ -230,6 +247,7 @@ def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> An
     return _quantity(system, q, v, "energy", t)
 
 
+@_Documented("ValueError, DomainError")
 def residual(
     system: Handle,
     q: ArrayLike,
@@ -243,25 +261,9 @@ def residual(
     It is zero on D for shift 0, and on D_eps for shift (1 - beta) h.  For linear constraints it is
     mu(q - shift v) v.
 
-    Parameters
-    ----------
-    system : System
-    q, v : array_like, shape (n,) or (N, n)
-    shift : float, optional
-        A time, in the user's units.
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the constraints, in order or by name; default 0.
-
     Returns
     -------
     ndarray, shape (m,) or (N, m)
-
-    Raises
-    ------
-    ValueError, DomainError
-        For invalid arguments, or a state outside the domain of a function.
 
     Examples
     --------
@@ -272,6 +274,7 @@ def residual(
     return _quantity(system, q, v, "residual", t, shift=shift, inputs=inputs)
 
 
+@_Documented("ValueError, DomainError")
 def relative_residual(
     system: Handle,
     q: ArrayLike,
@@ -293,25 +296,9 @@ def relative_residual(
     The residual does not change if forms or coordinates are rescaled.  In states stored by a run it
     is at most ``4 n 2^-53``.
 
-    Parameters
-    ----------
-    system : System
-    q, v : array_like, shape (n,) or (N, n)
-    shift : float, optional
-        A time, in the user's units; 0 is D, (1 - beta) h is D_eps.
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the constraints, in order or by name; default 0.
-
     Returns
     -------
     float or ndarray, shape (N,)
-
-    Raises
-    ------
-    ValueError, DomainError
-        For invalid arguments, or a state outside the domain of a function.
 
     Examples
     --------
@@ -322,6 +309,7 @@ def relative_residual(
     return _quantity(system, q, v, "relative", t, shift=shift, inputs=inputs)
 
 
+@_Documented("ValueError, DomainError, SingularError")
 def multipliers(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
@@ -330,24 +318,10 @@ def multipliers(
     Here f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for constant mass without force.  For
     linear constraints phi_q v is d(mu v)/dq v.  The formula applies off D as well.
 
-    Parameters
-    ----------
-    system : System
-    q, v : array_like, shape (n,) or (N, n)
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the force, in order or by name; default 0.
-
     Returns
     -------
     ndarray, shape (m,) or (N, m)
         lambda, forces.
-
-    Raises
-    ------
-    ValueError, DomainError, SingularError
-        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -358,19 +332,11 @@ def multipliers(
     return _quantity(system, q, v, "multipliers", t, inputs=inputs)
 
 
+@_Documented("ValueError, DomainError")
 def metric(
     system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
 ) -> Array:
     """Return the mass matrix M = L_vv at each state.
-
-    Parameters
-    ----------
-    system : System
-    q : array_like, shape (n,) or (N, n)
-    v : array_like, shape (n,) or (N, n), optional
-        Matters only if L is not quadratic in v; default 0.
-    t : float or array_like, shape (N,), optional
-        Time of the states.
 
     Returns
     -------
@@ -378,8 +344,6 @@ def metric(
 
     Raises
     ------
-    ValueError, DomainError
-        For invalid arguments, or a state outside the domain of a function.
     SingularError
         If M is not positive definite.
 
@@ -400,6 +364,7 @@ def metric(
     return _rows(system, lib.dal_metric, q, or_zero(v, q), (system.n, system.n), t=t)
 
 
+@_Documented("ValueError, DomainError, SingularError")
 def power(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> tuple[Any, Any]:
@@ -407,23 +372,9 @@ def power(
 
     On D their sum is dE/dt.  For linear constraints the first is 0 on D.
 
-    Parameters
-    ----------
-    system : System
-    q, v : array_like, shape (n,) or (N, n)
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the force, in order or by name; default 0.
-
     Returns
     -------
     constraint, force : float or ndarray, shape (N,)
-
-    Raises
-    ------
-    ValueError, DomainError, SingularError
-        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -435,28 +386,15 @@ def power(
     return _rows(system, lib.dal_power, q, v, (), (), t=t, inputs=inputs)
 
 
+@_Documented("ValueError, DomainError, SingularError")
 def gram(
     system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
 ) -> Array:
     """Return the symmetric, positive definite matrix C = mu M^-1 mu^T (lemma lemmaC).
 
-    Parameters
-    ----------
-    system : System
-    q : array_like, shape (n,) or (N, n)
-    v : array_like, shape (n,) or (N, n), optional
-        Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-
     Returns
     -------
     ndarray, shape (m, m) or (N, m, m)
-
-    Raises
-    ------
-    ValueError, DomainError, SingularError
-        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -467,28 +405,15 @@ def gram(
     return _rows(system, lib.dal_gram, q, or_zero(v, q), (system.m, system.m), t=t)
 
 
+@_Documented("ValueError, DomainError, SingularError")
 def acceleration(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
     """Return the acceleration vdot = f_v + M^-1 mu^T lambda, with f_v as in `multipliers`.
 
-    Parameters
-    ----------
-    system : System
-    q, v : array_like, shape (n,) or (N, n)
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the force, in order or by name; default 0.
-
     Returns
     -------
     ndarray, shape (n,) or (N, n)
-
-    Raises
-    ------
-    ValueError, DomainError, SingularError
-        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -499,28 +424,15 @@ def acceleration(
     return _rows(system, lib.dal_acceleration, q, v, (system.n,), t=t, inputs=inputs)
 
 
+@_Documented("ValueError, DomainError, SingularError")
 def field(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
     """Return the vector field (v, vdot) of the ODE on D.
 
-    Parameters
-    ----------
-    system : System
-    q, v : array_like, shape (n,) or (N, n)
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the force, in order or by name; default 0.
-
     Returns
     -------
     ndarray, shape (2n,) or (N, 2n)
-
-    Raises
-    ------
-    ValueError, DomainError, SingularError
-        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -531,6 +443,7 @@ def field(
     return _rows(system, lib.dal_field, q, v, (2 * system.n,), t=t, inputs=inputs)
 
 
+@_Documented("ValueError, DomainError, SingularError")
 def perturbed(
     system: Handle,
     q: ArrayLike,
@@ -549,27 +462,16 @@ def perturbed(
 
     Parameters
     ----------
-    system : System
-    q, v : array_like, shape (n,) or (N, n)
     ghat : array_like, shape (2n,) or (N, 2n)
         The perturbation (ghat_q, ghat_v).
     weight : float, optional
         Factor of ghat, such as h^p; default 1.
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the force, in order or by name; default 0.
 
     Returns
     -------
     field : ndarray, shape (2n,) or (N, 2n)
         (qdot, vdot).
     multipliers : ndarray, shape (m,) or (N, m)
-
-    Raises
-    ------
-    ValueError, DomainError, SingularError
-        For invalid arguments, a state outside the domain, or constraints that lose rank.
 
     Examples
     --------
@@ -589,6 +491,7 @@ def perturbed(
     return system._mechanics.rows(lib.dal_perturbed, single, *given, inputs=rows)
 
 
+@_Documented("ValueError, DomainError, SingularError")
 def project(
     system: Handle,
     q: ArrayLike,
@@ -602,25 +505,12 @@ def project(
     For shift 0 and linear or affine constraints it is v - M^-1 mu^T C^-1 phi, the nearest velocity
     in D in the mass metric.
 
-    Parameters
-    ----------
-    system : System
-    q, v : array_like, shape (n,) or (N, n)
-    shift : float, optional
-        A time, in the user's units.
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the constraints, in order or by name; default 0.
-
     Returns
     -------
     ndarray, shape (n,) or (N, n)
 
     Raises
     ------
-    ValueError, DomainError, SingularError
-        For invalid arguments, a state outside the domain, or constraints that lose rank.
     ConvergenceError
         If Newton's iteration does not converge, for shift != 0 or nonlinear constraints.
 
@@ -647,6 +537,7 @@ def projection(
     return system._mechanics.rows(lib.dal_project, False, t, shift, x, (), inputs=inputs)
 
 
+@_Documented("ValueError, DomainError")
 def consistent(
     system: Handle,
     q0: ArrayLike,
@@ -661,14 +552,9 @@ def consistent(
 
     Parameters
     ----------
-    system : System
     q0, v0 : array_like, shape (n,) or (N, n)
     keep : str, int, iterable of str, of int, or of bool, optional
         Coordinates whose velocities do not change: names, indices, or n truth values.
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the constraints, in order or by name; default 0.
 
     Returns
     -------
@@ -676,8 +562,6 @@ def consistent(
 
     Raises
     ------
-    ValueError, DomainError
-        For invalid arguments, or a state outside the domain of a function.
     SingularError
         If the fixed components leave too little freedom, even if v0 is in D.
     ConvergenceError

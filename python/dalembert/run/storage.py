@@ -41,26 +41,26 @@ def save(run: Solution, path: str | os.PathLike[str]) -> None:
     ``dalembert.load`` reads them.  ``.nc`` contains the data of `to_xarray`, for xarray, h5py,
     Julia or MATLAB.  ``.csv`` has the columns of `to_pandas`.
 
-        Parameters
-        ----------
-        path : str or path
-            The file; its suffix determines the format.
+    Parameters
+    ----------
+    path : str or path
+        The file; its suffix determines the format.
 
-        Raises
-        ------
-        ValueError
-            If the suffix is another.
-        OSError
-            If the file cannot be written; an existing file is then unchanged.
-        ImportError
-            For ``.nc``, if xarray or h5netcdf is not installed.
+    Raises
+    ------
+    ValueError
+        If the suffix is another.
+    OSError
+        If the file cannot be written; an existing file is then unchanged.
+    ImportError
+        For ``.nc``, if xarray or h5netcdf is not installed.
 
-        Examples
-        --------
-        >>> import os, tempfile
-        >>> import dalembert as dal
-        >>> run = dal.integrate(dal.systems.particle(), h=0.1, steps=10)
-        >>> run.save(os.path.join(tempfile.mkdtemp(), "run.csv"))
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.particle(), h=0.1, steps=10)
+    >>> run.save(os.path.join(tempfile.mkdtemp(), "run.csv"))
     """
     target = Path(os.fsdecode(path))
     require_suffix(target)

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import Array, Workspaces, arguments, extras, ffi, lib, require_autonomous
+from ..core.documentation import Shared
 from ..core.extras import Progress
 from ..geometry import Chart
 from ..run.events import CONSISTENCY
@@ -36,6 +37,27 @@ TAUS = np.arange(1, 64) / 64
 FRACTIONS = (1, 2 / 3, 1 / 2, 1 / 3, 1 / 4)
 
 CLEAR = 100  # as many times g stands above its noise, if it is meaningful
+
+
+
+class _Documented(Shared):
+    """Parameters and exceptions of the methods.
+
+    Parameters
+    ----------
+    tau : array_like, shape () or (N,)
+        Time in units of h.
+    z : array_like, shape (2n-m,), optional
+
+    Raises
+    ------
+    ValueError
+        For invalid arguments.
+    ConvergenceError
+        For an h that is too large.
+    Exception
+        For an exception of a step, of the flow or of a function of the system.
+    """
 
 
 class Embedding(core.Constant):
@@ -215,24 +237,18 @@ class Embedding(core.Constant):
 
     # ---- the field -------------------------------------------------------------------------
 
+    @_Documented("ValueError, ConvergenceError, Exception")
     def g(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
         """Return g(tau, z), 1-periodic in tau (gdefinition).
 
         Parameters
         ----------
-        tau : array_like, shape () or (N,)
-            Time in units of h.
         z : array_like, shape (2n-m,) or (N, 2n-m), optional
 
         Returns
         -------
         ndarray, shape (2n-m,) or (N, 2n-m)
             Exactly 0 if tau is an integer.
-
-        Raises
-        ------
-        ValueError, ConvergenceError, Exception
-            As for the class.
 
         Examples
         --------
@@ -243,6 +259,7 @@ class Embedding(core.Constant):
         """
         return self._along(lib.dal_embedding_field, tau, z)
 
+    @_Documented("ValueError, ConvergenceError, Exception")
     def g_tilde(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
         """Return g~ = (dpsi/dxi) g in the state (q, v), a vector tangent to D (tildeg).
 
@@ -251,18 +268,11 @@ class Embedding(core.Constant):
 
         Parameters
         ----------
-        tau : array_like, shape () or (N,)
-            Time in units of h.
         z : array_like, shape (2n-m,) or (N, 2n-m), optional
 
         Returns
         -------
         ndarray, shape (2n,) or (N, 2n)
-
-        Raises
-        ------
-        ValueError, ConvergenceError, Exception
-            As for the class.
 
         Examples
         --------
@@ -274,24 +284,16 @@ class Embedding(core.Constant):
         points = self._point(z, "z", (None, self.start.size))
         return np.einsum("...ij,...j->...i", self.chart.jacobian(points), self.g(tau, points))
 
+    @_Documented("ValueError, Exception")
     def limit(self, z: ArrayLike | None = None) -> Array:
         """Return d(z) = (Phi(z) - F(h, z)) / h^(p+1).
 
         As h -> 0, d tends to the error constant of the scheme, and g(tau, z) to -chi_0'(tau) d(z).
         The slope chi_0' is that of `dalembert.geometry.cutoff`.
 
-        Parameters
-        ----------
-        z : array_like, shape (2n-m,), optional
-
         Returns
         -------
         ndarray, shape (2n-m,)
-
-        Raises
-        ------
-        ValueError, Exception
-            As for the class.
 
         Examples
         --------
@@ -347,23 +349,17 @@ class Embedding(core.Constant):
         """
         return self._along(lib.dal_embedding_curve, tau, y, "y", progress)
 
+    @_Documented("ValueError, ConvergenceError, Exception")
     def source(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
         """Return the start y of the curve through z at tau - floor(tau) (ztilde).
 
         Parameters
         ----------
-        tau : array_like, shape () or (N,)
-            Time in units of h.
         z : array_like, shape (2n-m,) or (N, 2n-m), optional
 
         Returns
         -------
         ndarray, shape (2n-m,) or (N, 2n-m)
-
-        Raises
-        ------
-        ValueError, ConvergenceError, Exception
-            As for the class.
 
         Examples
         --------
@@ -375,6 +371,7 @@ class Embedding(core.Constant):
         """
         return self._along(lib.dal_embedding_source, tau, z)
 
+    @_Documented("ValueError, ConvergenceError, Exception")
     def flow(
         self,
         t0: float,
@@ -391,18 +388,12 @@ class Embedding(core.Constant):
         ----------
         t0, t1 : float
             Times in the user's units; ``t1 < t0`` is allowed.
-        z : array_like, shape (2n-m,), optional
         progress : bool or callable, optional
             As for `curve`.
 
         Returns
         -------
         ndarray, shape (2n-m,)
-
-        Raises
-        ------
-        ValueError, ConvergenceError, Exception
-            As for the class.
 
         Examples
         --------
@@ -421,21 +412,13 @@ class Embedding(core.Constant):
 
     # ---- how large g is --------------------------------------------------------------------
 
+    @_Documented("ValueError, ConvergenceError, Exception")
     def bound(self, z: ArrayLike | None = None) -> float:
         """Return the largest component of ``|g(tau, z)|`` over a period.
-
-        Parameters
-        ----------
-        z : array_like, shape (2n-m,), optional
 
         Returns
         -------
         float
-
-        Raises
-        ------
-        ValueError, ConvergenceError, Exception
-            As for the class.
 
         Examples
         --------
@@ -450,23 +433,15 @@ class Embedding(core.Constant):
         """
         return float(np.abs(self.g(TAUS, self._point(z, "z"))).max())
 
+    @_Documented("ValueError, ConvergenceError, Exception")
     def meaningful(self, z: ArrayLike | None = None) -> bool:
         """Return whether ``|g|`` is at least 100 times its noise at some time in a period.
 
         If not, for example for p = 4 and small h, the values of g are roundoff.
 
-        Parameters
-        ----------
-        z : array_like, shape (2n-m,), optional
-
         Returns
         -------
         bool
-
-        Raises
-        ------
-        ValueError, ConvergenceError, Exception
-            As for the class.
 
         Examples
         --------
@@ -477,6 +452,7 @@ class Embedding(core.Constant):
         """
         return self.bound(z) > CLEAR * self.noise
 
+    @_Documented("ValueError, ConvergenceError, Exception")
     def measured_order(self, hs: Sequence[float] | None = None, z: ArrayLike | None = None) -> Fit:
         """Return the order of the scheme: the log-log slope of ``h^p |g|`` over h.
 
@@ -486,18 +462,12 @@ class Embedding(core.Constant):
         ----------
         hs : sequence of float, optional
             Steps.  Default: h times 1, 2/3, 1/2, 1/3, 1/4.
-        z : array_like, shape (2n-m,), optional
 
         Returns
         -------
         Fit
             ``slope`` is the order, ``points`` the number of meaningful steps.  At least three of
             them are needed, over a factor of two in h.
-
-        Raises
-        ------
-        ValueError, ConvergenceError, Exception
-            As for the class.
 
         Examples
         --------
