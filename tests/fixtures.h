@@ -9,6 +9,7 @@
 
 #include "check.h"
 #include "generic4.h"
+#include "dalembert/discrete.h"
 #include "dalembert/study.h"
 #include "oracle/multiroot.h"
 

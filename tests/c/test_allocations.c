@@ -5,6 +5,7 @@
  * those of the C library for the whole process, GSL included; there they are counted. */
 #define _GNU_SOURCE /* RTLD_NEXT */
 #include "check.h"
+#include "dalembert/discrete.h"
 #include "dalembert/ensemble.h"
 #include "dalembert/study.h"
 #include "generic4.h"

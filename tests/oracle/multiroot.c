@@ -3,6 +3,7 @@
  * Slow, and on purpose: it shares no formula with kernel.h, so it is a check of it. */
 #include "oracle/multiroot.h"
 
+#include "discrete/discrete.h"
 #include "step/beta.h"
 #include "step/scheme.h"
 #include "step/stepper.h"

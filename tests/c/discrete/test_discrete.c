@@ -6,6 +6,7 @@
  * the nodes loses u |q|/h instead. */
 #include "fixtures.h"
 #include "check.h"
+#include "discrete/discrete.h"
 
 #define ROUNDOFF (128 * U)
 

@@ -3,6 +3,7 @@
  * against exact solutions, and against differences. */
 #include "fixtures.h"
 #include "check.h"
+#include "discrete/discrete.h"
 
 enum { MOST_N = 8, MOST_M = 4 };
 
