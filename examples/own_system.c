@@ -19,6 +19,7 @@
  *     cc own_system.c $(pkg-config --cflags --libs dalembert) -o own_system && ./own_system
  */
 #include <dalembert/geometry.h>
+#include <dalembert/inspect.h>
 #include <math.h>
 #include <stdio.h>
 

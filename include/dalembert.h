@@ -23,10 +23,12 @@
  *      dal_stepper_new for "reference", in dal_embedding_new and in dal_order_study.  If the
  *      handler returns, these functions return DAL_ENOMEM.
  *
- * This header has systems, schemes, steppers and runs.  In the folder dalembert, deformation.h has
- * deformed systems; geometry.h the mechanics on D and the reference flow; discrete.h discrete
- * mechanics; events.h the events of runs; journal.h files of runs that can be resumed; ensemble.h
- * many runs at once; study.h measured orders; family.h the interface for your own steps. */
+ * This header has systems, schemes, steppers and simple runs.  In the folder dalembert,
+ * inspect.h has the properties of systems and schemes; stepper.h diagnostics and saved states;
+ * run.h runs with inputs and output times; events.h the events of runs; journal.h files of runs
+ * that can be resumed; ensemble.h many runs at once; geometry.h the mechanics on D and the
+ * reference flow; discrete.h discrete mechanics; deformation.h deformed systems; study.h
+ * measured orders; family.h the interface for your own steps. */
 #ifndef DALEMBERT_H
 #define DALEMBERT_H
 
@@ -251,41 +253,10 @@ DAL_API void dal_system_free(dal_system *system);
 DAL_API int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
                                const double *values, size_t count, dal_error *error);
 
-/* Return the number of built-in systems, the name of the i-th, and a description of one line; NULL
- * if i is too large. */
-DAL_API size_t dal_builtin_count(void);
-DAL_API const char *dal_builtin_name(size_t i);
-DAL_API const char *dal_builtin_help(size_t i);
-
-/* Return n, m, the sum of dal_missing, the name, and the description of one line. */
+/* Return n, m, and the name. */
 DAL_API size_t dal_system_n(const dal_system *system);
 DAL_API size_t dal_system_m(const dal_system *system);
-DAL_API unsigned dal_system_missing(const dal_system *system);
 DAL_API const char *dal_system_name(const dal_system *system);
-DAL_API const char *dal_system_help(const dal_system *system);
-/* Return the texts of the definition, "" if not given. */
-DAL_API const char *dal_system_description(const dal_system *system);
-DAL_API const char *dal_system_source(const dal_system *system);
-DAL_API const char *dal_system_formulas(const dal_system *system);
-DAL_API const char *dal_system_coordinate(const dal_system *system, size_t i); /* NULL: i >= n */
-DAL_API size_t dal_system_inputs(const dal_system *system);
-DAL_API const char *dal_system_input_name(const dal_system *system, size_t i); /* or NULL */
-/* M[n*n] (or NULL) <- the mass matrix.  Errors: DAL_EUNSUPPORTED if it is not constant. */
-DAL_API int dal_system_mass(const dal_system *system, double *M);
-/* Return the sparsity of the definition, or NULL. */
-DAL_API const dal_sparsity *dal_system_sparsity(const dal_system *system);
-DAL_API dal_constraint_kind dal_system_kind(const dal_system *system);
-DAL_API int dal_system_is_forced(const dal_system *system); /* 1: there is a generalized force */
-DAL_API int dal_system_is_driven(const dal_system *system); /* 1: constraints depend on inputs */
-DAL_API int dal_system_is_time_dependent(const dal_system *system); /* as of the definition */
-
-/* Return the parameters of a built-in system; your own systems have none. */
-DAL_API size_t dal_system_parameters(const dal_system *system);
-DAL_API const char *dal_system_parameter_name(const dal_system *system, size_t i); /* or NULL */
-DAL_API double dal_system_parameter(const dal_system *system, size_t i);           /* or NaN */
-/* Returns the number of bytes that an ensemble may replace for each member: the size of ctx if it
- * was copied; that of the parameter values, in their order, of a built-in system; else 0. */
-DAL_API size_t dal_system_parameter_size(const dal_system *system);
 
 /* x[2n] <- the default initial data.  Errors: DAL_EUNSUPPORTED if there are none. */
 DAL_API int dal_system_state(const dal_system *system, double *x);
@@ -294,14 +265,6 @@ DAL_API int dal_system_state(const dal_system *system, double *x);
  * Errors: DAL_EUNSUPPORTED if the system has no exact solution; DAL_EUSER; DAL_EDOMAIN; DAL_ENOMEM.
  */
 DAL_API int dal_system_exact(const dal_system *system, double t, const double *x0, double *x);
-
-/* The first integrals besides the energy: their number and names, and values[count] at x[2n] and
- * time t.
- * Errors: DAL_EUNSUPPORTED if there are none; DAL_EUSER; DAL_EDOMAIN; DAL_ENOMEM. */
-DAL_API size_t dal_system_invariants(const dal_system *system);
-DAL_API const char *dal_system_invariant_name(const dal_system *system, size_t i); /* or NULL */
-DAL_API int dal_system_invariant(const dal_system *system, double t, const double *x,
-                                 double *values);
 
 /* ---- schemes --------------------------------------------------------------------------- */
 
@@ -355,28 +318,6 @@ typedef struct dal_scheme {
  * Errors: DAL_EINVAL if there is no such scheme, and the text lists the names. */
 DAL_API int dal_scheme_find(dal_scheme *scheme, const char *name, dal_error *error);
 
-/* The table of named schemes: their number, and the i-th.  Errors: DAL_EINVAL if i is too large. */
-DAL_API size_t dal_scheme_count(void);
-DAL_API int dal_scheme_at(dal_scheme *scheme, size_t i);
-
-/* Returns the name of the family that computes the steps: "beta", "pair", "flow", or your own. */
-DAL_API const char *dal_scheme_family(const dal_scheme *scheme);
-
-/* Returns 1 if every step of scheme on system is a sequence of linear solves without iteration,
- * else 0.  The condition is: beta = 0 in every sub-step, constant mass, no force, and linear or
- * affine constraints. */
-DAL_API int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *system);
-
-/* *shift <- 1 - beta, for a scheme with a single sub-step: its D_eps has the shift (1 - beta) h.
- * Errors: DAL_EUNSUPPORTED for a scheme with several sub-steps. */
-DAL_API int dal_scheme_shift(const dal_scheme *scheme, double *shift);
-
-/* *eps <- the default eps of reversible steps (dal_options) of scheme: 0.8 / sum_j |fraction_j|
- * over its sub-steps, at most 0.2.
- * Errors: DAL_EUNSUPPORTED unless the scheme is a self-adjoint composition of more than two
- * sub-steps with moved nodes, such as bm6 and leapfrog-kl8. */
-DAL_API int dal_scheme_eps(const dal_scheme *scheme, double *eps, dal_error *error);
-
 /* The data of the scheme "reference"; NULL means the defaults. */
 typedef struct dal_flow_scheme {
     dal_flow_method method;
@@ -427,68 +368,6 @@ typedef enum dal_initial {
                                 the moved nodes, observed at the nodes */
 } dal_initial;
 
-/* Counters and diagnostics of a stepper since its start. */
-typedef struct dal_stats {
-    size_t steps;
-    size_t substeps;            /* sub-steps of the scheme; a fused pair counts as one */
-    size_t iterations;          /* Newton iterations */
-    size_t constraint_calls, potential_calls;
-    size_t lagrangian_calls, force_calls;
-    size_t evaluations;         /* evaluations of the vector field by the reference flow */
-    size_t corrections;         /* final corrections that took an additional evaluation */
-    size_t full_newtons;        /* sub-steps in which the modified Newton iteration was replaced by
-                                   the full one, or, if all use the full one, it was restarted */
-    size_t rejected;            /* error-controlled or reversible steps that were repeated with a
-                                   shorter step */
-    size_t uncontrolled;        /* error-controlled steps longer than the tolerance allows, because
-                                   the estimate of their error is roundoff for any length */
-    size_t scaled, unscaled;    /* for keep_energy: steps repeated with scaled velocities; plain
-                                   steps that changed the energy because scaling was not possible,
-                                   and states at events and output times with another energy */
-    size_t resets;              /* irreversible steps of reversible runs, in which rho was reset to
-                                   the rate of the motion.  Either rho had departed from it, or the
-                                   step was repeated.  A smaller eps reduces their number.  Counted
-                                   after the scales of rho are known */
-    size_t halvings;            /* Newton steps halved because a callback left its domain */
-    double worst_residual;      /* largest dal_relative_residual, after any step, of the set that
-                                   the scheme preserves */
-    double initial_residual;    /* relative residual of the data given to dal_stepper_start */
-    double initial_correction;  /* distance by which these were moved, in the mass metric */
-    unsigned differenced;       /* dal_missing: derivatives that were differenced */
-    size_t jump_step;           /* the first step after which the energy was found changed, by jump,
-                                   by more than half of the largest kinetic energy: h is too large.
-                                   0 if there is none.  Changes undone by keep_energy count.  The
-                                   energy is checked in every 64th step and at the end of
-                                   dal_integrate.  It is not checked with a force, dependence on
-                                   time, constraints that are not linear, or a scheme of order 1 */
-    double jump, largest_kinetic;
-    double least_pivot;         /* least pivot 1/(C^-1)_aa of C = mu M^-1 mu^T, relative to the
-                                   largest pivot of the same row so far; 1 if none became smaller.
-                                   Near 0 the constraints lose rank, and branches of the motion may
-                                   meet.  Checked when variable steps are much shorter than usual.
-                                   In steps of size h it is checked if det C decreases or the full
-                                   Newton iteration is needed, but not for your own families */
-    double least_pivot_t;       /* time of this pivot */
-    size_t least_pivot_rows;    /* the sum of 2^a over the rows a < 52 that contribute to it; 0 if
-                                   unknown */
-    size_t rank_doubts;         /* number of checks at which a pivot was below the tolerance (ten
-                                   times that of "reference"), or passes 0 within about two steps of
-                                   h */
-    double least_step;          /* shortest variable step, relative to the mean of the steps before
-                                   it; 1 for steps of size h */
-    double least_step_t;        /* when */
-    double error;               /* approximate error of the state at the end of a run, relative to
-                                   its size: the range of a q, the largest |v|.  It uses `remade`
-                                   steps of another size.  With whole = 1 they repeat the run or its
-                                   first 131072 steps; above 0.05, h is too large.  With whole = 0
-                                   they repeat samples; the sum of their errors usually exceeds the
-                                   error.  With whole = 2 they repeat the steps since a reset or a
-                                   resume; their error is reported only if it is above 0.05.
-                                   INFINITY: steps of h/2 failed, and those of h are suspect.
-                                   NAN: no estimate, see dal_run */
-    size_t remade, whole;
-} dal_stats;
-
 /* A system, a scheme, and a state that steps advance.  A step never allocates memory.  After every
  * step the dal_relative_residual of the set that the scheme preserves is at most 4 n u, u = 2^-53.
  */
@@ -530,21 +409,13 @@ DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const d
  * L is not of second degree in v, dal_stepper_start returns DAL_EUNSUPPORTED. */
 DAL_API int dal_stepper_input(dal_stepper *stepper, const double *u);
 
-/* Sets the time at which error-controlled and reversible steps end exactly.  It applies until
- * another time, or an infinite one, is set.  A step from this time is DAL_EINVAL.  In a reversible
- * run only the last step is shortened, and it is not reversible; output times of a run do not
- * affect its steps.
- * Errors: DAL_EINVAL (not started; t has passed); DAL_EUNSUPPORTED (steps of size h). */
-DAL_API int dal_stepper_until(dal_stepper *stepper, double t);
-
-/* Return the inputs u[inputs] of the next step, the current state x[2n], its time t0 + k h, the
- * step size h, and the counters.  If the size varies, h is that of the last step.  Arrays are
- * borrowed, and valid until the stepper is freed.  Steps may change the address of the state. */
+/* Return the inputs u[inputs] of the next step, the current state x[2n], its time t0 + k h, and the
+ * step size h.  If the size varies, h is that of the last step.  Arrays are borrowed, and valid
+ * until the stepper is freed.  Steps may change the address of the state. */
 DAL_API const double *dal_stepper_inputs(const dal_stepper *stepper);
 DAL_API const double *dal_stepper_state(const dal_stepper *stepper);
 DAL_API double dal_stepper_time(const dal_stepper *stepper);
 DAL_API double dal_stepper_h(const dal_stepper *stepper);
-DAL_API void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats);
 
 /* Takes one step (DAELd1, DAELd2), with reaction[m] (or NULL) <- the scheme's own multiplier, sum_j
  * h_j lambda_j / h, a force (LamLd1, lamdaGR).
@@ -558,97 +429,17 @@ DAL_API int dal_step(dal_stepper *stepper, double *reaction);
  * Errors: as for dal_step. */
 DAL_API int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *done);
 
-/* Save and restore all data that determine the following steps.  The first function returns their
- * number, 0 if the steps of the scheme cannot be resumed (multistep flows).  The second writes that
- * many values.  The third reads them, also into a stepper of the same system and scheme in another
- * process.  Its steps are then bitwise identical.  On failure the stepper is unchanged.
- * Errors: DAL_EINVAL (not started; data of another version, system or scheme; wrong count);
- * DAL_EUNSUPPORTED. */
-DAL_API size_t dal_stepper_saved(const dal_stepper *stepper);
-DAL_API int dal_stepper_save(dal_stepper *stepper, double *values);
-DAL_API int dal_stepper_restore(dal_stepper *stepper, const double *values, size_t count);
-
 /* ---- runs ------------------------------------------------------------------------------ */
 
 /* Observer, called at every stored state; step counts from the start of the stepper.  Return 0 to
  * continue, > 0 to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
 typedef int (*dal_observer_fn)(size_t step, double t, const double *x, void *ctx);
 
-/* Controller: u[inputs] <- the inputs of the steps that begin at step, at time t and state x[2n].
- * The return value is that of an observer. */
-typedef int (*dal_control_fn)(size_t step, double t, const double *x, double *u, void *ctx);
-
-/* Called for each event, in the order of time, after its step and before the state of the step is
- * stored.  The arguments are the number of the event, its step, counted as for an observer, and its
- * time; the state x[2n] there, and the state after[2n] after its reset, or NULL.  The return value
- * is that of an observer. */
-typedef int (*dal_happened_fn)(size_t event, size_t step, double t, const double *x,
-                               const double *after, void *ctx);
-
-/* A run of a stepper: zero-initialise it, set the members above t_begin, then call dal_run_go. */
-typedef struct dal_run {
-    dal_stepper *stepper;   /* started */
-    size_t steps, stride;   /* every stride-th state is stored; steps must be a multiple of
-                               stride */
-    double *x;              /* [(steps/stride + 1)*2n] or NULL: the states; row 0 is the initial
-                               one */
-    double *reactions;      /* [(steps/stride)*m] or NULL: the mean reaction over each interval,
-                               including the impulses of jumps; it belongs to the middle of the
-                               interval.  NaN for a scheme without multipliers */
-    double *inputs;         /* [ceil(steps/hold)*inputs]: row k applies to the steps k hold, ...,
-                               (k+1) hold - 1 of the run; NULL: the inputs of the stepper */
-    size_t hold;            /* 0 is 1 */
-    dal_control_fn control; /* or NULL: writes each row of inputs when its steps begin */
-    void *control_ctx;
-    dal_observer_fn observer; /* or NULL */
-    void *observer_ctx;
-    dal_watch_fn watch;     /* or NULL: called within long steps, with their time */
-    void *watch_ctx;
-    struct dal_events *events; /* events of the stepper, see dalembert/events.h; or NULL */
-    dal_happened_fn happened; /* or NULL */
-    void *happened_ctx;
-    const double *times;    /* [time_count] output times in the order of the run; requires events */
-    size_t time_count;
-    double *at;             /* [time_count*2n]: the states at times, in the set that the scheme
-                               preserves */
-    struct dal_journal *journal; /* see dalembert/journal.h; or NULL */
-    int unchecked;          /* 1: no estimate of the error.  Otherwise a run with steps of size h,
-                               by a scheme that has an order, computes one by steps of other sizes.
-                               A run of less than 1000 steps, or with suspect samples, is repeated
-                               after its end with 2h, 4h or 8h.  If these are inconclusive it is
-                               repeated with h/2.  The bits of the run do not depend on the
-                               estimate, and observers, controls and events are not called again */
-    size_t checks;          /* number of steps still to be repeated after the last step.  Call
-                               dal_run_go until it is 0; then dal_stats has the estimate */
-    double until;           /* end time for variable steps; the run ends there, or after `steps`.
-                               The array x needs room for one more row, because the last state is
-                               always stored */
-    double held;            /* for variable steps, instead of hold: row k of inputs applies from
-                               t_begin + k held to t_begin + (k+1) held */
-    double *row_times;      /* for variable steps: the times of the rows of x; or NULL */
-    double t_begin, row_time; /* set by the run for variable steps: its initial time; time of the
-                                 last row */
-    size_t row_step;          /* step of the last row */
-    size_t handed, row_inputs; /* rows of inputs passed to the stepper so far, and before the last
-                                  row.  If the stepper already has the first row, set handed to 1,
-                                  and control is not called for it */
-    size_t done;            /* steps taken */
-    size_t stored;          /* rows of x that are valid */
-    size_t timed;           /* rows of at that are valid */
-    int ended;              /* 1: a terminal event ended the run; its state is the last row of x,
-                               and the stepper is before the step */
-    double t_end;           /* time of the terminal event */
-} dal_run;
-
-/* Takes at most budget further steps of the run, so that the caller can check clocks and signals in
- * between.  The run is complete when done equals steps.  The results do not depend on budget.
- * After DAL_STOPPED, or after the cause of a failure was removed, another call continues the run.
+/* Takes a number of steps, a multiple of stride.  x[(steps/stride + 1)*2n] (or NULL) <- the initial
+ * state and every stride-th one; reactions[(steps/stride)*m] (or NULL) <- the mean multiplier over
+ * each interval, NaN for a scheme without multipliers; *done (or NULL) <- the number of steps
+ * taken.  See dalembert/run.h for inputs, events and output times.
  * Errors: DAL_STOPPED; DAL_EINVAL; the errors of dal_step. */
-DAL_API int dal_run_go(dal_run *run, size_t budget);
-
-/* Executes a whole run in one call.  The arguments are the members of a dal_run; *done (or NULL) <-
- * the number of steps taken.
- * Errors: as for dal_run_go. */
 DAL_API int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, double *x,
                           double *reactions, dal_observer_fn observer, void *ctx, size_t *done);
 

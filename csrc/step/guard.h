@@ -7,7 +7,7 @@
 enum { DAL__MARKS = 16 };
 /* The estimate of the error of a run (run/guard.c).  Numbers of steps are those of the run. */
 typedef struct dal__guard {
-    const dal_run *run;      /* the run that it belongs to */
+    const struct dal_run *run; /* the run that it belongs to */
     bool on, over;           /* the run has an estimate; it is complete */
     bool checking;           /* the run is computed again */
     double ratio;            /* r: the size of the other steps is r h */

@@ -3,6 +3,7 @@
 #define DAL__SCHEME_H
 
 #include "dalembert/family.h"
+#include "dalembert/inspect.h"
 
 /* Those that the build list names, the one of records without a family first; NULL at the end. */
 extern const dal_family *const dal__families[];

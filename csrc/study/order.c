@@ -10,6 +10,7 @@
  * does not.  Kept nodes started in D (DAL_INITIAL_D) jump to D_eps in their first step, which costs
  * that step one order in both (E12), and the run none: for that start the first step has to have
  * (p - 1, s - 1), and the errors at t_end the slope p. */
+#include "dalembert/run.h"
 #include "dalembert/study.h"
 #include "step/embedded.h"
 #include "step/scheme.h"

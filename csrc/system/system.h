@@ -4,6 +4,7 @@
 
 #include "algebra/algebra.h"
 #include "dalembert/field.h"
+#include "dalembert/inspect.h"
 
 /* The values that a parameter may take; WHOLE: 1, 2, ... up to most. */
 typedef enum range { POSITIVE, NOT_NEGATIVE, FINITE, WHOLE } range;

@@ -16,8 +16,8 @@ INCLUDE = Path(__file__).resolve().parents[2] / "include"
 HEADERS = tuple(
     f"dalembert{name}.h"
     for name in (
-        "", "/deformation", "/geometry", "/discrete", "/family", "/events", "/journal",
-        "/ensemble", "/study",
+        "", "/inspect", "/stepper", "/run", "/deformation", "/geometry", "/discrete", "/family",
+        "/events", "/journal", "/ensemble", "/study",
     )
 )  # fmt: skip
 COMMENT = re.compile(r"/\*(.*?)\*/", flags=re.S)

@@ -7,6 +7,7 @@
 #define DALEMBERT_ENSEMBLE_H
 
 #include <dalembert/events.h>
+#include <dalembert/stepper.h>
 
 #ifdef __cplusplus
 extern "C" {

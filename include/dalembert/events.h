@@ -8,7 +8,7 @@
 #ifndef DALEMBERT_EVENTS_H
 #define DALEMBERT_EVENTS_H
 
-#include <dalembert.h>
+#include <dalembert/run.h>
 
 #ifdef __cplusplus
 extern "C" {

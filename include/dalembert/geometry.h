@@ -4,6 +4,7 @@
 #define DALEMBERT_GEOMETRY_H
 
 #include <dalembert/deformation.h>
+#include <dalembert/stepper.h>
 
 #ifdef __cplusplus
 extern "C" {

@@ -15,7 +15,7 @@
 #ifndef DALEMBERT_JOURNAL_H
 #define DALEMBERT_JOURNAL_H
 
-#include <dalembert.h>
+#include <dalembert/run.h>
 
 #ifdef __cplusplus
 extern "C" {

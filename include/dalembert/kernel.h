@@ -63,11 +63,11 @@
 #ifndef DALEMBERT_KERNEL_H
 #define DALEMBERT_KERNEL_H
 
-#include <dalembert.h>
 #include <dalembert/field.h>
 #include <dalembert/lu.h>
 #include <dalembert/residual.h>
 #include <dalembert/rows.h>
+#include <dalembert/stepper.h>
 
 #include <float.h>
 #include <math.h>

@@ -7,6 +7,7 @@
  *     s' = (u0 - brake s)/m,  omega' = u1/J,  lambda = -m s omega - u2. */
 #include "fixtures.h"
 #include "check.h"
+#include "dalembert/run.h"
 
 enum { N = 3, INPUTS = 3, HOLDS = 4, STEPS = 24 };
 static const double m = 2.0, J = 0.75, brake = 0.6;

@@ -8,6 +8,7 @@
  *   - after a successful one what was put out is finite where it has to be,
  *   - after successful steps the state lies in the set that the scheme keeps, see check_residual.
  * The sanitizers and GSL's handler, which aborts, see the rest. */
+#include "dalembert/discrete.h"
 #include "dalembert/ensemble.h"
 #include "dalembert/study.h"
 #include "step/stepper.h"

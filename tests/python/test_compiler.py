@@ -556,7 +556,7 @@ def test_a_compiler_that_hangs(cache, tmp_path, monkeypatch, end):
 
 
 PROGRAM = r"""
-#include <dalembert.h>
+#include <dalembert/inspect.h>
 #include <stdio.h>
 #include "bead.h"
 int main(void)
@@ -583,10 +583,7 @@ WARNINGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 def compile_c(directory, *arguments, command=()):
     """Compile as a C user does, with the headers as they are installed; return the output."""
     include = directory / "include"
-    (include / "dalembert").mkdir(parents=True, exist_ok=True)
-    shutil.copy(SOURCE_ROOT / "include" / "dalembert.h", include)
-    for name in set(compiler.HEADERS) - {"dalembert.h"}:
-        shutil.copy(SOURCE_ROOT / "include" / "dalembert" / name, include / "dalembert")
+    shutil.copytree(SOURCE_ROOT / "include", include, dirs_exist_ok=True)
     command = command or [*compiler.find().command, "-std=c11", "-O2"]
     done = subprocess.run(
         [*command, "-ffp-contract=off", f"-I{include}", *arguments],

@@ -2,6 +2,7 @@
  * is there after a failure. */
 #include "fixtures.h"
 #include "check.h"
+#include "dalembert/run.h"
 
 enum { STEPS = 24, N2 = 8, M = 2, EMPTY = 7 };
 

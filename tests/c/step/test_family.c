@@ -4,6 +4,7 @@
  * The argument is the module that tests/family_heun.c was made into. */
 #include "check.h"
 #include "dalembert/family.h"
+#include "dalembert/inspect.h"
 #include "dalembert/study.h"
 
 #include <dlfcn.h>
