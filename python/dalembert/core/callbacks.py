@@ -137,7 +137,10 @@ for _callback in _PLAIN:
 
 
 # The core asks linear constraints for mu alone, and never for phi = mu v.
-def _define_linear(driven: bool) -> None:
+def _define_forms(kind: str, driven: bool) -> None:
+    """Define the trampoline of linear or affine constraints."""
+    is_affine = kind == "affine"
+
     def answer(t: float, q: Any, v: Any, *targets: Any) -> int:
         *inputs, phi, phi_v, phi_q, phi_t, ctx = targets
         call = _from_handle(ctx)
@@ -145,29 +148,9 @@ def _define_linear(driven: bool) -> None:
         if call.timed:
             point = t, *point
         last = _inputs(call, *inputs) if driven else ()
-        if phi_v:
-            _write(phi_v, call.forms(*point, *last), call.matrix, "forms")
-        if phi_q or phi_t:
-            state = *point, _frombuffer(_buffer(v, call.bytes)[:]), *last
-        if phi_q:
-            name = "forms_velocity_derivative"
-            _write(phi_q, call.forms_velocity_derivative(*state), call.matrix, name)
-        if phi_t:
-            _write(phi_t, call.constraint_t(*state), call.multipliers, "constraint_t")
-        return 0
-
-    _trampoline(f"dal_py_{'driven_' * driven}linear")(answer)
-
-
-def _define_affine(driven: bool) -> None:
-    def answer(t: float, q: Any, v: Any, *targets: Any) -> int:
-        *inputs, phi, phi_v, phi_q, phi_t, ctx = targets
-        call = _from_handle(ctx)
-        point: tuple[Any, ...] = (_frombuffer(_buffer(q, call.bytes)[:]),)
-        velocity = _frombuffer(_buffer(v, call.bytes)[:])
-        if call.timed:
-            point = t, *point
-        last = _inputs(call, *inputs) if driven else ()
+        phi = phi if is_affine else None
+        if phi or phi_q or phi_t:
+            velocity = _frombuffer(_buffer(v, call.bytes)[:])
         if phi or phi_v:
             forms = _doubles(call.forms(*point, *last), call.matrix, "forms")
             if phi_v:
@@ -175,23 +158,25 @@ def _define_affine(driven: bool) -> None:
             if phi:
                 shift = _doubles(call.affine(*point, *last), call.multipliers, "affine")
                 _write(phi, forms @ velocity + shift, call.multipliers, "affine")
-        state = *point, velocity, *last
         if phi_q:
             name = "forms_velocity_derivative"
-            turn = _doubles(call.forms_velocity_derivative(*state), call.matrix, name)
-            shift = call.affine_derivative(*point, *last)
-            shift = _doubles(shift, call.matrix, "affine_derivative")
-            _write(phi_q, turn + shift, call.matrix, name)
+            found = call.forms_velocity_derivative(*point, velocity, *last)
+            slope = _doubles(found, call.matrix, name)
+            if is_affine:
+                found = call.affine_derivative(*point, *last)
+                slope = slope + _doubles(found, call.matrix, "affine_derivative")
+            _write(phi_q, slope, call.matrix, name)
         if phi_t:
-            _write(phi_t, call.constraint_t(*state), call.multipliers, "constraint_t")
+            found = call.constraint_t(*point, velocity, *last)
+            _write(phi_t, found, call.multipliers, "constraint_t")
         return 0
 
-    _trampoline(f"dal_py_{'driven_' * driven}affine")(answer)
+    _trampoline(f"dal_py_{'driven_' * driven}{kind}")(answer)
 
 
 for _driven in (False, True):
-    _define_linear(_driven)
-    _define_affine(_driven)
+    _define_forms("linear", _driven)
+    _define_forms("affine", _driven)
     _define("nonlinear", _driven)
 
 

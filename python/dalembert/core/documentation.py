@@ -13,10 +13,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 class Shared:
     """Parameters and exceptions that the docstrings of several functions share.
 
-    The docstring of a subclass has the shared entries.  Its object is a decorator, which completes
-    the docstring of a function.  The section Parameters gets an entry for each parameter, its own
-    or the shared one.  A shared entry marked ``optional`` is for parameters with a default, any
-    other entry for those without.  The section Raises begins with the exceptions of the object.
+    The docstring of a subclass has the shared entries, besides those of its base.  Its object is a
+    decorator, which completes the docstring of a function.  The section Parameters gets an entry
+    for each parameter, its own or the shared one.  A shared entry marked ``optional`` is for
+    parameters with a default, any other entry for those without.  The section Raises begins with
+    the exceptions of the object.
 
     Parameters
     ----------
@@ -24,17 +25,17 @@ class Shared:
         Names of exceptions, separated by commas.
     """
 
-    _shared: dict[tuple[str, bool], str]
-    _reasons: dict[str, str]
+    _shared: dict[tuple[str, bool], str] = {}
+    _reasons: dict[str, str] = {}
 
     def __init_subclass__(cls) -> None:
         _, sections = _sections(cls.__doc__ or "")
-        cls._shared = {
+        cls._shared = cls._shared | {
             (name, ", optional" in rest.partition("\n")[0]): rest
             for names, rest in _entries(sections.get("Parameters", ""))
             for name in names.split(", ")
         }
-        cls._reasons = dict(_entries(sections.get("Raises", "")))
+        cls._reasons = cls._reasons | dict(_entries(sections.get("Raises", "")))
 
     def __init__(self, raised: str) -> None:
         self._raised = raised.split(", ")
@@ -81,3 +82,29 @@ def _entries(section: str) -> list[tuple[str, str]]:
     """Return the names of each entry of a section, and the rest of the entry."""
     entry = r"^(\S.*?)((?: : .*)?(?:\n(?=[ \n]).*)*)$"
     return re.findall(entry, section.strip(), re.MULTILINE)
+
+
+class Common(Shared):
+    """Parameters and exceptions of functions in several modules.
+
+    Parameters
+    ----------
+    system : System
+    run : Solution
+    q0, v0 : array_like, shape (n,), optional
+        Initial data in D, in the user's units; pass both or neither.  Default: the system's initial
+        data.
+    progress : bool or callable, optional
+        True: show a tqdm bar.  A function is called as ``progress(done, total)``.
+    ax : matplotlib axes, optional
+        Default: new axes.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.  The message names it.
+    ImportError
+        If an optional package is not installed.  The message has the command that installs it.
+    OSError
+        If the file cannot be written; the message has its name.
+    """

@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike
 
 from .. import core
 from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
-from ..core.documentation import Shared
 from . import mechanics
 
 __all__ = ["Chart", "cutoff"]
@@ -33,26 +32,15 @@ __all__ = ["Chart", "cutoff"]
 _log = logging.getLogger(__name__)
 
 
-class _Documented(Shared):
+class _Documented(mechanics.Documented):
     """Parameters and exceptions of the methods.
 
     Parameters
     ----------
-    q, v : array_like, shape (n,) or (N, n)
-    v : array_like, shape (n,) or (N, n), optional
-        Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
     xi : array_like, shape (2n-m,) or (N, 2n-m)
-    t : float or array_like, shape (N,), optional
-        Time of the states.
-    inputs : array_like, shape (k,) or (N, k), or mapping, optional
-        Inputs of the constraints and the force, in order or by name; default 0.
 
     Raises
     ------
-    ValueError
-        For invalid arguments.
-    DomainError
-        For a state outside the domain of a function.
     SingularError
         For undetermined dependent velocities.
     ConvergenceError

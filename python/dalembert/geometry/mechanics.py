@@ -26,7 +26,7 @@ from ..core import Array, Handle, Pair, arguments, ffi, lib
 from ..core.documentation import Shared
 
 
-class _Documented(Shared):
+class Documented(Shared):
     """Parameters and exceptions of the functions.
 
     Parameters
@@ -227,7 +227,7 @@ def _rows(
 # ---- functions -----------------------------------------------------------------------------
 
 
-@_Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError")
 def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> Any:
     """Return the energy E = L_v v - L at each state.
 
@@ -247,7 +247,7 @@ def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> An
     return _quantity(system, q, v, "energy", t)
 
 
-@_Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError")
 def residual(
     system: Handle,
     q: ArrayLike,
@@ -274,7 +274,7 @@ def residual(
     return _quantity(system, q, v, "residual", t, shift=shift, inputs=inputs)
 
 
-@_Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError")
 def relative_residual(
     system: Handle,
     q: ArrayLike,
@@ -309,7 +309,7 @@ def relative_residual(
     return _quantity(system, q, v, "relative", t, shift=shift, inputs=inputs)
 
 
-@_Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError")
 def multipliers(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
@@ -332,7 +332,7 @@ def multipliers(
     return _quantity(system, q, v, "multipliers", t, inputs=inputs)
 
 
-@_Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError")
 def metric(
     system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
 ) -> Array:
@@ -364,7 +364,7 @@ def metric(
     return _rows(system, lib.dal_metric, q, or_zero(v, q), (system.n, system.n), t=t)
 
 
-@_Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError")
 def power(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> tuple[Any, Any]:
@@ -386,7 +386,7 @@ def power(
     return _rows(system, lib.dal_power, q, v, (), (), t=t, inputs=inputs)
 
 
-@_Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError")
 def gram(
     system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
 ) -> Array:
@@ -405,7 +405,7 @@ def gram(
     return _rows(system, lib.dal_gram, q, or_zero(v, q), (system.m, system.m), t=t)
 
 
-@_Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError")
 def acceleration(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
@@ -424,7 +424,7 @@ def acceleration(
     return _rows(system, lib.dal_acceleration, q, v, (system.n,), t=t, inputs=inputs)
 
 
-@_Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError")
 def field(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
@@ -443,7 +443,7 @@ def field(
     return _rows(system, lib.dal_field, q, v, (2 * system.n,), t=t, inputs=inputs)
 
 
-@_Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError")
 def perturbed(
     system: Handle,
     q: ArrayLike,
@@ -491,7 +491,7 @@ def perturbed(
     return system._mechanics.rows(lib.dal_perturbed, single, *given, inputs=rows)
 
 
-@_Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError")
 def project(
     system: Handle,
     q: ArrayLike,
@@ -537,7 +537,7 @@ def projection(
     return system._mechanics.rows(lib.dal_project, False, t, shift, x, (), inputs=inputs)
 
 
-@_Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError")
 def consistent(
     system: Handle,
     q0: ArrayLike,

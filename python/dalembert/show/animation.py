@@ -20,7 +20,7 @@ from ..core.extras import Progress
 from ..run import Solution
 from . import film_page, web
 from .bodies import Body, Shape
-from .plot import Axes, plain
+from .plot import Axes, Documented, plain
 from .scene import Scene, make_scene
 from .stage import clock, draw, draw_trails, stage
 
@@ -265,6 +265,30 @@ def _nearest(pixels: NDArray[np.uint8], palette: list[int]) -> NDArray[np.uint8]
 # ---- the functions of dal.plot -------------------------------------------------------------------
 
 
+class _Documented(Documented):
+    """Parameters of films and snapshots.
+
+    Parameters
+    ----------
+    body : callable, optional
+        ``body(t, q, v)`` returns the shapes to draw, see `dalembert.plot.bodies`.  The default for
+        a system of the library is its body.  Other systems are drawn as a point with its velocity,
+        in space with the plane of D if there is one constraint.
+    coordinates : sequence of int, optional
+        Indices of the coordinates of a position, two in the plane or three in space.  They
+        determine the point, which is then drawn instead of the library's body, and the components
+        of the reactions.  Default: x and y, with z if there are no other coordinates; otherwise the
+        first two.
+    multipliers : bool, optional
+        Whether to draw the reactions mu^T lambda as arrows at the contacts.  They are omitted if
+        all are zero to roundoff.
+    scale : float, optional
+        Units of force for one unit of length of the arrows.  Default: a round number, shown in the
+        legend.
+    """
+
+
+@_Documented("ValueError, ImportError")
 def animate(
     run: Solution,
     body: Body | None = None,
@@ -285,28 +309,12 @@ def animate(
 
     Parameters
     ----------
-    run : Solution
-    body : callable, optional
-        ``body(t, q, v)`` returns the shapes to draw, see `dalembert.plot.bodies`.  The default for
-        a system of the library is its body.  Other systems are drawn as a point with its velocity,
-        in space with the plane of D if there is one constraint.
-    coordinates : sequence of int, optional
-        Indices of the coordinates of a position, two in the plane or three in space.  They
-        determine the point, which is then drawn instead of the library's body, and the components
-        of the reactions.  Default: x and y, with z if there are no other coordinates; otherwise the
-        first two.
     fps : float, optional
         Frames per second of the film; default 20.
     seconds : float, optional
         Duration of the film in seconds, independent of the duration of the run; default 5.
     trail : bool, optional
         Whether contacts, or the dots of a body without contacts, leave trails.
-    multipliers : bool, optional
-        Whether to draw the reactions mu^T lambda as arrows at the contacts.  They are omitted if
-        all are zero to roundoff.
-    scale : float, optional
-        Units of force for one unit of length of the arrows.  Default: a round number, shown in the
-        legend.
     ax : matplotlib axes, optional
         Plane axes, also for films in space.
 
@@ -314,14 +322,6 @@ def animate(
     -------
     Animation
         Has the methods ``save`` and ``frame``; a notebook shows it as a page with a slider.
-
-    Raises
-    ------
-    ValueError
-        If ``run`` is not a Solution, an argument is out of range, or the body does not return
-        shapes.
-    ImportError
-        If matplotlib is not installed.
 
     Examples
     --------
@@ -351,6 +351,7 @@ def animate(
     return Animation(scene, fps, trail, ax)
 
 
+@_Documented("ValueError, ImportError")
 def snapshots(
     run: Solution,
     body: Body | None = None,
@@ -365,27 +366,12 @@ def snapshots(
 
     Parameters
     ----------
-    run : Solution
-    body : callable, optional
-        As for `dalembert.plot.animate`; also ``coordinates`` and ``scale``.
-    ax : matplotlib axes, optional
     count : int, optional
         Number of outlines, evenly spaced in time; later ones are darker.  Default 9.
-    coordinates : sequence of int, optional
-    multipliers : bool, optional
-        Whether to draw the reactions.
-    scale : float, optional
 
     Returns
     -------
     matplotlib axes
-
-    Raises
-    ------
-    ValueError
-        As for `dalembert.plot.animate`.
-    ImportError
-        If matplotlib is not installed.
 
     Examples
     --------

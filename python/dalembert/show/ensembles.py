@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..core import Array, arguments, extras
+from ..core.documentation import Common
 from ..ensembles import Ensemble
 from .palette import COLOURS, FAILED, GROUND
 from .plot import Axes, axes_for, plain, with_unit
@@ -16,6 +17,7 @@ from .table import Table
 _BANDS = ((5, 95, 0.2), (25, 75, 0.35))  # percentiles, and how dense they are drawn
 
 
+@Common("ValueError, ImportError")
 def draw(
     self: Ensemble, what: str | None = None, ax: Axes | None = None, *, y: str | None = None
 ) -> Axes:
@@ -30,16 +32,8 @@ def draw(
     what : str, optional
         A coordinate, a velocity ("v_theta"), or another scalar result.  Default: the first
         coordinate; for a grid with events, the number of the event that ended each member.
-    ax : matplotlib axes, optional
     y : str, optional
         Vertical axis for end states; default: the second coordinate.
-
-    Raises
-    ------
-    ValueError
-        If the quantity was not kept, or is not a scalar.
-    ImportError
-        If matplotlib is not installed.
 
     Examples
     --------

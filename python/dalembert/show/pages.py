@@ -17,6 +17,7 @@ import numpy as np
 
 from .. import core, growth, systems
 from ..core import extras, files, require_system
+from ..core.documentation import Common
 from ..core.extras import Progress
 from ..geometry import Check
 from ..run import Solution
@@ -36,6 +37,7 @@ FINE, FINE_STEP = "leapfrog-kl8", 0.05
 FPS, FRAMES = 20, 120  # of the film
 
 
+@Common("ValueError, ImportError, OSError")
 def write(
     folder: str | Path = "catalogue",
     chosen: str | System | Iterable[str | System] | None = None,
@@ -66,11 +68,6 @@ def write(
     ValueError
         If a name is unknown, a system has no initial data, two have the same name, one is called
         "index", or there are none.
-    ImportError
-        If matplotlib, Jinja2, or SymPy for a system that needs it, is not installed.  The message
-        has the command that installs it.
-    OSError
-        If a file cannot be written; the message has its name.
 
     Examples
     --------
@@ -131,20 +128,9 @@ def available() -> tuple[str, ...]:
     return (*systems.names(), *more)
 
 
+@Common("ValueError, ImportError")
 def page(system: System) -> str:
     """Return the page of a system as HTML.
-
-    Parameters
-    ----------
-    system : System
-        A system with initial data.
-
-    Raises
-    ------
-    ValueError
-        If ``system`` is not a System, or has no initial data.
-    ImportError
-        If matplotlib or Jinja2 is not installed.  The message has the command that installs it.
 
     Examples
     --------

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from .. import geometry
 from ..core import ROUNDOFF, Array, Pair, extras, residual_bound
+from ..core.documentation import Common
 from ..run import Solution
 from ..study import Embedding, Studies, Study
 from .palette import COLOURS, PAPER
@@ -45,6 +46,23 @@ QUANTITIES = {
         "local_reaction_error", "reaction", 1, "error of the scheme's multiplier after one step", ()
     ),
 }  # fmt: skip
+
+
+class Documented(Common):
+    """Parameters and exceptions of the plots.
+
+    Parameters
+    ----------
+    study : Study or sequence of Study
+    solution : Solution or sequence of Solution
+    styles : mapping of scheme names to properties of a line, optional
+        See `dalembert.plot.styles`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is of another type or out of range, or there is nothing to draw.
+    """
 
 
 def styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -78,6 +96,7 @@ def styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     }
 
 
+@Documented("ValueError, ImportError")
 def convergence(
     study: Study | Studies | Sequence[Study],
     ax: Axes | None = None,
@@ -92,21 +111,10 @@ def convergence(
 
     Parameters
     ----------
-    study : Study or sequence of Study
-    ax : matplotlib axes, optional
     quantity : {"state", "q", "v", "multipliers", "local", "reactions"}
         "state", "q", "v" and "multipliers" are errors at ``t_end``.  "local" and "reactions" are
         one-step errors of (q, v) and of the scheme's own multipliers.  The legend shows the order
         of the scheme, which for one-step errors is the slope minus 1.
-    styles : mapping of scheme names to properties of a line, optional
-        See `dalembert.plot.styles`.
-
-    Raises
-    ------
-    ValueError
-        If the quantity is unknown, there is nothing to draw, or ``study`` is of another type.
-    ImportError
-        If matplotlib is not installed.
 
     Examples
     --------
@@ -149,6 +157,7 @@ def convergence(
     return _legend(ax, "scheme: fitted order")
 
 
+@Documented("ValueError, ImportError")
 def drift(
     solution: Solution | Sequence[Solution],
     ax: Sequence[Axes] | None = None,
@@ -164,22 +173,12 @@ def drift(
 
     Parameters
     ----------
-    solution : Solution or sequence of Solution
     ax : two matplotlib axes, optional
         Axes for D and for D_eps.
-    styles : mapping of scheme names to properties of a line, optional
-        See `dalembert.plot.styles`.
 
     Returns
     -------
     ndarray of two matplotlib axes
-
-    Raises
-    ------
-    ValueError
-        If ``ax`` is not two axes, there is nothing to draw, or ``solution`` is of another type.
-    ImportError
-        If matplotlib is not installed.
 
     Examples
     --------
@@ -222,6 +221,7 @@ def drift(
     return axes
 
 
+@Documented("ValueError, ImportError")
 def energy(
     solution: Solution | Sequence[Solution],
     ax: Axes | None = None,
@@ -231,20 +231,6 @@ def energy(
     """Draw the relative energy error over time, on a linear axis.
 
     The label says "change" if the energy is not conserved because forces or constraints do work.
-
-    Parameters
-    ----------
-    solution : Solution or sequence of Solution
-    ax : matplotlib axes, optional
-    styles : mapping of scheme names to properties of a line, optional
-        See `dalembert.plot.styles`.
-
-    Raises
-    ------
-    ValueError
-        If there is nothing to draw, or ``solution`` is of another type.
-    ImportError
-        If matplotlib is not installed.
 
     Examples
     --------
@@ -270,6 +256,7 @@ def energy(
     return _legend(ax, None)
 
 
+@Documented("ValueError, ImportError")
 def path(
     solution: Solution,
     ax: Axes | None = None,
@@ -280,16 +267,8 @@ def path(
     Parameters
     ----------
     solution : Solution
-    ax : matplotlib axes, optional
     coordinates : pair of int
         Indices of two coordinates; default (0, 1).
-
-    Raises
-    ------
-    ValueError
-        If the system does not have these coordinates.
-    ImportError
-        If matplotlib is not installed.
 
     Examples
     --------
@@ -319,6 +298,7 @@ def path(
     return ax
 
 
+@Documented("ValueError, ImportError")
 def perturbation(
     embedding: Embedding,
     ax: Axes | None = None,
@@ -335,18 +315,10 @@ def perturbation(
     Parameters
     ----------
     embedding : Embedding
-    ax : matplotlib axes, optional
     hs : sequence of float, optional
         Steps.  Default: the step of the embedding, a half and a quarter of it.
     z : array_like, shape (2n-m,), optional
         The point.  Default: ``embedding.start``.
-
-    Raises
-    ------
-    ValueError
-        If ``embedding`` is of another type, there are no steps, or one is 0 or not finite.
-    ImportError
-        If matplotlib is not installed.
 
     Examples
     --------

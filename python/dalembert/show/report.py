@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import core
 from ..core import files
+from ..core.documentation import Common
 from ..run import Solution
 from ..run.integration import doubts
 from ..study import Studies, Study
@@ -25,6 +26,7 @@ __all__ = ["write"]
 MOST = 4  # schemes in one picture
 
 
+@Common("ValueError, ImportError, OSError")
 def write(studies: Study | Studies | Sequence[Study], path: str | Path) -> Path:
     """Write the report of studies on one system as an HTML page.
 
@@ -44,15 +46,6 @@ def write(studies: Study | Studies | Sequence[Study], path: str | Path) -> Path:
     -------
     Path
         Path of the file.
-
-    Raises
-    ------
-    ValueError
-        If there is no study, or they are on different systems.
-    ImportError
-        If matplotlib or Jinja2 is not installed.  The message has the command that installs it.
-    OSError
-        If the file cannot be written; the message has its name.
 
     Examples
     --------

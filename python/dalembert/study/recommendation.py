@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from .. import geometry
 from ..core import Array, DalembertError, arguments, require_system
+from ..core.documentation import Common
 from ..run import Scheme, Solution, integrate
 from ..run.integration import quietly
 from ..system import System
@@ -115,6 +116,7 @@ def _time(seconds: float) -> str:
     return f"{seconds * 1e6:.0f} us"
 
 
+@Common("ValueError")
 def recommend(
     system: System,
     q0: ArrayLike | None = None,
@@ -138,9 +140,6 @@ def recommend(
 
     Parameters
     ----------
-    system : System
-    q0, v0 : array_like, shape (n,), optional
-        Initial data in the user's units; pass both or neither.  Default: the system's initial data.
     t_end : float
         End time.
     t0 : float, optional

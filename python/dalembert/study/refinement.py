@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import arguments, extras, ffi, lib, require_system
+from ..core.documentation import Common
 from ..core.extras import Progress
 from ..run import Scheme
 from ..run.integration import doubt_start
@@ -34,6 +35,7 @@ FITS = (  # in the order of dal_order_fit
 )  # fmt: skip
 
 
+@Common("ValueError")
 def convergence(
     system: System,
     scheme: Scheme | str | float | None = None,
@@ -52,11 +54,8 @@ def convergence(
 
     Parameters
     ----------
-    system : System
     scheme : Scheme, str or float, optional
         A scheme, its name, or beta.  Default: the default of `integrate` for a number h.
-    q0, v0 : array_like, shape (n,), optional
-        Initial data in D, in the user's units.  Default: the system's initial data.
     t_end, t0 : float, optional
         Interval of time, in the user's units.  The default is one unit.  Without ``steps`` it is 2,
         4, 8 or 16 if the errors of a high order are too close to roundoff over less.
@@ -82,8 +81,6 @@ def convergence(
 
     Raises
     ------
-    ValueError
-        If an argument is out of range.  The message names it.
     dalembert.DalembertError
         If the reference flow fails.  A run that fails does not raise; its entries in the study are
         NaN.
