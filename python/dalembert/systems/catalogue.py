@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -34,18 +33,12 @@ __all__ = [
 ]
 
 
+_ABOUT: dict[str, dict[str, str]] = {}
+
+
 def about(name: str) -> dict[str, str]:
     """Return help, description and source of a system, without SymPy."""
-    summary, _, rest = (inspect.getdoc(globals()[name]) or "").partition("\n\n")
-    extended, *sections = re.split(r"\n\n(\w+)\n-+\n", f"\n\n{rest}")
-    named = dict(zip(sections[::2], sections[1::2]))
-    paragraphs = [x for x in extended.strip().split("\n\n") if not x.startswith(" ")]
-    prose = " ".join(" ".join(paragraphs).replace("::", ".").split())
-    return {
-        "help": summary,
-        "description": prose,
-        "source": " ".join(named.get("References", "").split()),
-    }
+    return _ABOUT[name]
 
 
 def _system(
@@ -61,9 +54,9 @@ def _system(
 ) -> Callable[[Callable[..., None]], Callable[..., System]]:
     """Decorate a function: replace it by one that returns the system of these formulas.
 
-    The decorated function supplies the parameters, which are numbers, and the docstring.  The names
-    of coordinates, and of positive parameters, are separated by blanks.  ``where`` defines other
-    names in the formulas; see `symbolic.formula`.
+    The decorated function supplies the parameters, which are numbers, and the docstring, to which
+    formulas and initial data are added.  The names of coordinates, and of positive parameters, are
+    separated by blanks.  ``where`` defines other names in the formulas; see `symbolic.formula`.
     """
 
     def decorate(describe: Callable[..., None]) -> Callable[..., System]:
@@ -99,6 +92,20 @@ def _system(
             made._source.of_library = True
             return made
 
+        before, _, references = inspect.cleandoc(describe.__doc__ or "").partition("\n\nRef")
+        head, *own = before.split("\n\nParameters")
+        summary, *paragraphs = head.split("\n\n")
+        prose = " ".join(x for x in paragraphs if not x.startswith(" ")).replace("::", ".")
+        source = references.partition("-\n")[2].partition("\n\n")[0]
+        told = (("help", summary), ("description", prose), ("source", source))
+        _ABOUT[name] = {key: " ".join(text.split()) for key, text in told}
+        lines = [f"L = {L}", *(f"{x} = 0" for x in constraints)]
+        lines += [f"where {key} = {text}" for key, text in where.items()]
+        make.__doc__ = "\n\n".join([
+            head, "Formulas::", "    " + "\n    ".join(lines), *(f"Parameters{x}" for x in own),
+            f"Returns\n-------\nSystem\n    Starts at q0 = ({q0}), v0 = ({v0}).",
+            f"Ref{references}",
+        ])  # fmt: skip
         make.__signature__ = signature  # type: ignore[attr-defined]
         return make
 
@@ -123,11 +130,7 @@ def steered_car(
     """Car with rear axle at (x, y), front axle (inertia K) at distance l, steered by phi.
 
     Coordinates x, y, theta, phi: middle of the rear axle, where the centre of mass is, heading, and
-    angle of the front axle to it.  Both axles move along themselves only::
-
-        L = (m (x'^2 + y'^2) + J theta'^2 + K (theta' + phi')^2)/2
-        -sin(theta) x' + cos(theta) y' = 0
-        -sin(theta + phi) x' + cos(theta + phi) y' + l cos(phi) theta' = 0
+    angle of the front axle to it.  Both axles move along themselves only.
 
     No constraint acts on phi, so the momentum of the front axle and the energy of the rest are
     constant.
@@ -138,11 +141,6 @@ def steered_car(
         Mass, inertia without the front axle, inertia of the front axle; positive.
     l : float
         Distance of the axles; positive.
-
-    Returns
-    -------
-    System
-        It starts at q0 = (0, 0, 1/5, 3/10) at speed 1, with phi' = 1/2.
 
     References
     ----------
@@ -174,11 +172,7 @@ def roller_racer(
 
     Coordinates x, y, theta, phi: middle of the rear axle, heading of the body, and angle of the
     handle to it.  The body (m, J) has its centre of mass at (x, y); the handle (K) has no mass.
-    The hinge is d1 ahead of the rear axle, and the axle of the handle d2 ahead of the hinge::
-
-        L = (m (x'^2 + y'^2) + J theta'^2 + K (theta' + phi')^2)/2
-        -sin(theta) x' + cos(theta) y' = 0
-        -sin(theta + phi) x' + cos(theta + phi) y' + (d1 cos(phi) + d2) theta' + d2 phi' = 0
+    The hinge is d1 ahead of the rear axle, and the axle of the handle d2 ahead of the hinge.
 
     Besides the energy there is an invariant with an elliptic integral, which the system does not
     list.  Its formula is in the docstring, where u is the speed along the heading and N is
@@ -196,11 +190,6 @@ def roller_racer(
         Mass and inertia of the body, inertia of the handle; positive.
     d1, d2 : float
         Distances of the axles from the hinge; positive.
-
-    Returns
-    -------
-    System
-        It starts at q0 = (0, 0, 0, 2/5) at speed 1, with theta' = 1/2.
 
     References
     ----------
@@ -239,10 +228,7 @@ def two_wheeled_robot(
     """Robot on two wheels (inertia I, radius r) at distance b either side, centre of mass a ahead.
 
     Coordinates x, y, theta, right, left: middle of the axle, heading, angles of the wheels.  The
-    speed along the heading is `u = v_x cos(theta) + v_y sin(theta)`; w is the speed across it::
-
-        L = (m (u^2 + (w + a theta')^2) + J theta'^2 + I (right'^2 + left'^2))/2
-        w = 0,  u + b theta' = r right',  u - b theta' = r left'
+    speed along the heading is `u = v_x cos(theta) + v_y sin(theta)`; w is the speed across it.
 
     One of the constraints is holonomic: `r (right - left) - 2 b theta` is constant.  The rest is a
     sleigh.  Its second invariant contains `A = m + 2 I/r^2` and `B = J + m a^2 + 2 I b^2/r^2`.
@@ -255,11 +241,6 @@ def two_wheeled_robot(
         Distance of the centre of mass ahead of the axle.
     b, r : float
         Half the distance of the wheels, and their radius; positive.
-
-    Returns
-    -------
-    System
-        It starts at q0 = (0, 0, 3/10, 0, 0) at speed 1/5, with theta' = 1.
 
     References
     ----------
@@ -280,10 +261,7 @@ def two_wheeled_robot(
 def cvt(*, c: float = 0.2) -> None:
     """Gearbox (CVT) between oscillators x and z, whose ratio y swings in V = y^2/2 + c y^3.
 
-    Coordinates x, y, z: the two oscillators, with y, the driver, between them::
-
-        L = (x'^2 + y'^2 + z'^2)/2 - (x^2 + z^2)/2 - y^2/2 - c y^3
-        x' + y z' = 0
+    Coordinates x, y, z: the two oscillators, with y, the driver, between them.
 
     No force couples the driver to the pair x, z: the energy of each is constant.  For `c = 0` the
     system is `contact_oscillator`; otherwise the driver swings off centre.
@@ -292,11 +270,6 @@ def cvt(*, c: float = 0.2) -> None:
     ----------
     c : float
         Asymmetry of the driver, which stays near 0 below the energy 1/(54 c^2).
-
-    Returns
-    -------
-    System
-        It starts at rest at q0 = (1, 1/2, 0).
 
     References
     ----------
@@ -324,10 +297,7 @@ def sleigh_with_rotor(
     """Chaplygin sleigh (m, J, a) with a rotor of inertia K on a torsion spring k.
 
     Coordinates x, y, theta, psi: centre of mass, where the rotor turns, heading, and angle of the
-    rotor to the sleigh.  The blade, a distance a behind, moves along itself only::
-
-        L = (m (x'^2 + y'^2) + J theta'^2 + K (theta' + psi')^2)/2 - k psi^2/2
-        -sin(theta) x' + cos(theta) y' - a theta' = 0
+    rotor to the sleigh.  The blade, a distance a behind, moves along itself only.
 
     No constraint acts on psi, so only the torque `-k psi` of the spring changes the momentum `K
     (v_theta + v_psi)` of the rotor.  It is an invariant besides the energy for `k = 0` only.
@@ -342,11 +312,6 @@ def sleigh_with_rotor(
         Distance of the centre of mass ahead of the blade.
     k : float
         Stiffness of the spring.
-
-    Returns
-    -------
-    System
-        It starts at q0 = (0, 0, 3/10, 3/5) at speed 1/5, with theta' = 1 and psi' = -1/2.
 
     References
     ----------
@@ -369,17 +334,10 @@ def sleigh_with_rotor(
 def disguised() -> None:
     """Quartic oscillators with v_x = -sum z_i v_zi, a holonomic constraint in disguise.
 
-    Coordinates x, y1, y2, y3, z1, z2, z3; the Lagrangian and the start of `chaotic`::
-
-        L = |v|^2/2 - (|q|^2 + z1^2 z2^2 + sum y_i^2 z_i^2)/2
-        x' + z1 z1' + z2 z2' + z3 z3' = 0
+    Coordinates x, y1, y2, y3, z1, z2, z3; the Lagrangian and the start of `chaotic`.
 
     The constraint is the time derivative of the invariant.  The system is a control case for
     properties of nonholonomic systems, and for `check`.
-
-    Returns
-    -------
-    System
 
     References
     ----------
