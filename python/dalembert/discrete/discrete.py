@@ -22,17 +22,16 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
-from ..core.documentation import Shared
+from ..core.documentation import Common
 from ..core.functions import OfTimeTwo
 from ..geometry.mechanics import halves, vectors
 
 
-class _Documented(Shared):
+class _Documented(Common):
     """Parameters and exceptions of the methods.
 
     Parameters
     ----------
-    system : System
     h : float
         The step.
     q0, q1, q, v : array_like, shape (n,)
@@ -42,13 +41,13 @@ class _Documented(Shared):
     Raises
     ------
     ValueError
-        For invalid arguments.
+        If an argument has another shape or is not finite, or h = 0.
     DomainError
-        For a function of the system or of the map that is not defined.
+        If a function of the system or of the map is not finite.
     SingularError
-        For a singular matrix of `regularity`.
+        If the matrix of `regularity` is singular.
     ConvergenceError
-        For a Newton iteration that does not converge.
+        If Newton's iteration does not converge.
     """
 
 
@@ -174,9 +173,8 @@ class Discrete(core.Constant):
     Notes
     -----
     The methods take nodes and velocities of shape (n,), the step h first and times t last.  They
-    raise ValueError if an argument has another shape or is not finite, or h = 0. They raise
-    DomainError if a function of the system or of the map is not finite, and any exception raised by
-    such a function.  Threads may share a Discrete if these functions are thread-safe.
+    also raise any exception raised by a function of the system or of the map.  Threads may share a
+    Discrete if these functions are thread-safe.
 
     Examples
     --------
@@ -491,7 +489,7 @@ class Discrete(core.Constant):
         )
         return Regularity(matrix, int(sign[0]), *logarithm_and_condition)
 
-    @_Documented("ValueError, DomainError")
+    @_Documented("ValueError, DomainError, SingularError, ConvergenceError")
     def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> Pair:
         """Return the node after the pair (q0, q1) and the multipliers (NHFlow).
 
@@ -502,13 +500,6 @@ class Discrete(core.Constant):
         q2 : ndarray, shape (n,)
         multipliers : ndarray, shape (m,)
             Forces.
-
-        Raises
-        ------
-        SingularError
-            If the matrix of `regularity` is singular.
-        ConvergenceError
-            If Newton's iteration does not converge.
 
         Examples
         --------

@@ -2,16 +2,8 @@
 
 Every method takes ``q`` and ``v`` of shape (n,) or (N, n), or ``xi`` of shape (2n-m,) or (N, 2n-m),
 in the user's units.  N is the first axis of the result.  ``t`` is the time of all states, or an
-array with the time of each; only systems that depend on time use it.
-
-Exceptions of all methods:
-
-- ValueError if an argument has another shape or is not finite;
-- DomainError if a function of the system is not finite or not defined;
-- SingularError if the independent velocities do not determine the others (``.step`` is the row that
-  failed);
-- ConvergenceError if Newton's iteration for nonlinear constraints failed;
-- any exception raised by a function of the system.
+array with the time of each; only systems that depend on time use it.  The methods also raise any
+exception raised by a function of the system.
 """
 
 from __future__ import annotations
@@ -42,9 +34,9 @@ class _Documented(mechanics.Documented):
     Raises
     ------
     SingularError
-        For undetermined dependent velocities.
+        If the independent velocities do not determine the others; ``.step`` is the row that failed.
     ConvergenceError
-        For a Newton iteration that does not converge.
+        If Newton's iteration for nonlinear constraints does not converge.
     """
 
 

@@ -3,14 +3,8 @@
 Every function takes ``q`` and ``v`` of shape (n,) or (N, n), in the user's units.  N is the first
 axis of the result.  The functions are also methods of `dalembert.System`.  The multiplier lambda is
 a force: d/dt L_v - L_q = f + mu^T lambda.  M denotes the mass matrix L_vv, D the set {phi(q, v) =
-0}, and mu the derivative phi_v.  For linear constraints phi is mu v.
-
-Exceptions of all functions:
-
-- ValueError if an argument has another shape or is not finite;
-- DomainError if a function of the system is not finite or not defined;
-- SingularError if mu(q) loses rank (``.step`` is the row that failed);
-- any exception raised by a function of the system.
+0}, and mu the derivative phi_v.  For linear constraints phi is mu v.  The functions also raise any
+exception raised by a function of the system.
 """
 
 from __future__ import annotations
@@ -45,11 +39,11 @@ class Documented(Shared):
     Raises
     ------
     ValueError
-        For invalid arguments.
+        If an argument has another shape or is not finite.
     DomainError
-        For a state outside the domain of a function.
+        If a function of the system is not finite or not defined; ``.step`` is the row that failed.
     SingularError
-        For constraints that lose rank.
+        If mu loses rank; ``.step`` is the row that failed.
     """
 
 

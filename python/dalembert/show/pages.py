@@ -404,49 +404,6 @@ print(run.x[-1])"""
 
 def c_lines(system: System) -> str:
     """Return the C program that does the same."""
-    changed = _changed(system)
-    declare = ""
-    names = values = "NULL"
-    if changed and system._model is None:
-        names, values = "names", "values"
-        declare = (
-            f"    const char *const names[] = {{{', '.join(map(quoted, changed))}}};\n"
-            f"    const double values[] = {{{', '.join(map(repr, changed.values()))}}};\n"
-        )
-    make = f"dal_system_builtin(&system, {quoted(system.name)}, {names}, {values}, "
-    make += f"{len(changed)}, &error)"
-    prototype = ""
-    if system._model is not None:
-        kinds = "".join(f"double {key}, " for key in system.parameters)
-        given = "".join(f"{x!r}, " for x in system.parameters.values())
-        prototype = f"int {system.name}_system(dal_system **system, {kinds}dal_error *error);\n\n"
-        make = f"{system.name}_system(&system, {given}&error)"
-    size = 2 * system.n
-    return f"""#include <dalembert.h>
-#include <stdio.h>
-
-{prototype}int main(void)
-{{
-    dal_system *system;
-    dal_scheme scheme;
-    dal_stepper *stepper;
-    dal_error error;
-    double x[{size}];
-{declare}    if ({make}
-        || dal_scheme_find(&scheme, {quoted(SCHEME)}, &error)
-        || dal_stepper_new(&stepper, system, &scheme, NULL, &error))
-        return puts(error.text), 1;
-    dal_system_state(system, x);
-    if (dal_stepper_start(stepper, 0.0, {STEP!r}, x, DAL_CHECK, DAL_INITIAL_NONE)
-        || dal_advance(stepper, {round(END / STEP)}, NULL, NULL))
-        return puts(dal_stepper_error(stepper)->text), 1;
-    for (int i = 0; i < {size}; i++) printf("%.17g\\n", dal_stepper_state(stepper)[i]);
-    dal_stepper_free(stepper);
-    dal_system_free(system);
-    return 0;
-}}"""
-
-
-def quoted(text: str) -> str:
-    """Return a name as a C string."""
-    return f'"{text}"'
+    changed = _changed(system) if system._model is None else None
+    values = {"scheme": SCHEME, "h": STEP, "steps": round(END / STEP)}
+    return str(web.render("program.txt", system=system, changed=changed, **values))

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import Array, Workspaces, arguments, extras, ffi, lib, require_autonomous
-from ..core.documentation import Shared
+from ..core.documentation import Common
 from ..core.extras import Progress
 from ..geometry import Chart
 from ..run.events import CONSISTENCY
@@ -39,8 +39,7 @@ FRACTIONS = (1, 2 / 3, 1 / 2, 1 / 3, 1 / 4)
 CLEAR = 100  # as many times g stands above its noise, if it is meaningful
 
 
-
-class _Documented(Shared):
+class _Documented(Common):
     """Parameters and exceptions of the methods.
 
     Parameters
@@ -52,11 +51,11 @@ class _Documented(Shared):
     Raises
     ------
     ValueError
-        For invalid arguments.
+        If an argument has another shape or is not finite.
     ConvergenceError
-        For an h that is too large.
+        If h is too large.
     Exception
-        For an exception of a step, of the flow or of a function of the system.
+        Any exception of a step, of the flow or of a function of the system.
     """
 
 
@@ -68,10 +67,6 @@ class Embedding(core.Constant):
     the scheme, F the flow of the ODE on D, and tau = t/h the time in units of the period.  A scheme
     with kept nodes is replaced by its conjugate with moved nodes, at the states (q - (1-beta) h v,
     v).
-
-    The methods raise ValueError if an argument has another shape or is not finite, and
-    ConvergenceError if h is too large.  They also raise the exceptions of steps and of the flow,
-    and any exception raised by a function of the system.
 
     Attributes
     ----------
@@ -309,6 +304,7 @@ class Embedding(core.Constant):
 
     # ---- curves ----------------------------------------------------------------------------
 
+    @_Documented("ValueError, Exception")
     def curve(
         self,
         tau: ArrayLike,
@@ -316,28 +312,18 @@ class Embedding(core.Constant):
         *,
         progress: Progress = False,
     ) -> Array:
-        """Return the solution G~(tau, y) that starts in y (Gdef, Gtilde, period0).
+        """Return the solution G~(tau, y), tau >= 0, that starts in y (Gdef, Gtilde, period0).
 
         For tau <= 1 it is ``chi_0 F(h tau, y) + chi_1 F(h tau - h, Phi(y))``.  From Phi(y) on it
         continues in the same way.
 
         Parameters
         ----------
-        tau : array_like, shape () or (N,)
-            Time in units of h, not negative.
         y : array_like, shape (2n-m,) or (N, 2n-m), optional
-        progress : bool or callable, optional
-            True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers
-            of steps of the scheme.
 
         Returns
         -------
         ndarray, shape (2n-m,) or (N, 2n-m)
-
-        Raises
-        ------
-        ValueError, Exception
-            As for the class; ValueError also if a tau is negative.
 
         Examples
         --------
@@ -388,8 +374,6 @@ class Embedding(core.Constant):
         ----------
         t0, t1 : float
             Times in the user's units; ``t1 < t0`` is allowed.
-        progress : bool or callable, optional
-            As for `curve`.
 
         Returns
         -------
@@ -485,6 +469,7 @@ class Embedding(core.Constant):
         return dataclasses.replace(raw, slope=raw.slope - 1)
 
 
+@Common("ValueError")
 def embedding(
     system: System,
     scheme: Scheme | str | float,
@@ -528,8 +513,6 @@ def embedding(
 
     Raises
     ------
-    ValueError
-        If an argument is out of range.
     NotOnConstraintError
         If (q0, v0) is not in D.
     NotImplementedError

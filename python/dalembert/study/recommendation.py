@@ -344,8 +344,8 @@ def _try_all(pilot: _Pilot, accuracy: float) -> Iterator[Tried]:
 def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> Tried:
     """Return a trial of a scheme with the longest fixed step that seems accurate enough."""
     span = pilot.end - pilot.t0
-    h, best = pilot.h * len(scheme.substeps) / 34, None
-    failed = Tried(scheme.name, math.nan, None, 0, math.nan, math.inf)
+    h = pilot.h * len(scheme.substeps) / 34
+    found, failed = list[Tried](), Tried(scheme.name, math.nan, None, 0, math.nan, math.inf)
     for _ in range(ATTEMPTS):
         steps = max(pilot.fewest, math.ceil(abs(span) / h))
         begin = time.thread_time()
@@ -359,11 +359,7 @@ def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> T
         count = math.ceil(steps / pilot.part)
         whole = (pilot.t_end - pilot.t0) / count
         error = pilot.error(run)
-        one = Tried(scheme.name, whole, None, count, error, seconds)
-        if error <= accuracy and (best is None or seconds < best.seconds):
-            best = one
-        elif best is None and not failed.error <= error:
-            failed = one
+        found.append(Tried(scheme.name, whole, None, count, error, seconds))
         if ENOUGH * accuracy <= error <= accuracy:
             break
         if steps == pilot.fewest and error <= accuracy:
@@ -373,7 +369,7 @@ def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> T
         h = abs(span) / steps * factor
         if seconds / factor > most or spent / factor > LONGEST:
             break
-    return best or failed
+    return min([*found, failed], key=lambda one: _rank(one, accuracy))
 
 
 def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
@@ -385,8 +381,8 @@ def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
         span = pilot.end - pilot.t0
         step = span / math.ceil(span / h)
     tolerance = max(least, accuracy * pilot.part ** pilot.power(least))
-    best, h_max = None, None
-    failed = Tried(name, h, tolerance, 0, math.nan, math.inf)
+    h_max = None
+    found, failed = list[Tried](), Tried(name, h, tolerance, 0, math.nan, math.inf)
     for _ in range(ATTEMPTS):
         given = _options(h, h_max)
         begin = time.thread_time()
@@ -400,18 +396,14 @@ def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
         if h == "auto" and h_max is None and steps < ROWS:
             h_max = pilot.longest
             continue
-        one = Tried(name, h, tolerance, steps, error, seconds, h_max)
-        if error <= accuracy and (best is None or seconds < best.seconds):
-            best = one
-        elif best is None and not failed.error <= error:
-            failed = one
+        found.append(Tried(name, h, tolerance, steps, error, seconds, h_max))
         if ENOUGH * accuracy <= error <= accuracy or (tolerance == least and error > accuracy):
             break
         if h_max is not None and error <= accuracy:  # a larger tolerance hardly changes the steps
             break
         factor = MARGIN * accuracy / max(error, 1e-16)
         tolerance = min(max(tolerance * min(max(factor, 1e-3), 1e3), least), most)
-    return best or failed
+    return min([*found, failed], key=lambda one: _rank(one, accuracy))
 
 
 def _options(h: Any, h_max: float | None) -> dict[str, Any]:

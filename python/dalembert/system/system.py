@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike
 from .. import core, geometry, growth, symbolic
 from ..core import KINDS, Array, Handle, Pair, arguments, extras, lib
 from ..core.functions import OfPoint, OfState, OfTime, OfTimeTwo
+from ..core.documentation import Common
 from ..core.extras import Progress
 from ..geometry import Check, examine
+from ..geometry.mechanics import Documented
 from . import sources
 from .sources import Source
 
@@ -523,25 +525,14 @@ class System(Handle):
 
     # ---- what the system is --------------------------------------------------------------
 
+    @Documented("ValueError")
     def invariant(self, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> dict[str, Any]:
         """Return the first integrals besides the energy.
-
-        Parameters
-        ----------
-        q, v : array_like, shape (n,) or (N, n)
-            A state, or N of them, in the user's units.
-        t : float or array_like, shape (N,), optional
-            Time of the states.
 
         Returns
         -------
         dict of str to float or ndarray
             For each name a float, or an array of shape (N,) for stacked states.
-
-        Raises
-        ------
-        ValueError
-            If q or v has another shape.
 
         Examples
         --------
@@ -593,6 +584,7 @@ class System(Handle):
         status = core.attempt(lib.dal_system_exact, self._handle, 0.0, x, y)
         return bool(status != lib.DAL_EUNSUPPORTED)
 
+    @Common("ValueError")
     def exact(
         self, t: ArrayLike, q0: ArrayLike | None = None, v0: ArrayLike | None = None
     ) -> Pair:
@@ -602,8 +594,6 @@ class System(Handle):
         ----------
         t : float or array_like, shape (N,)
             Time since the initial state, in the user's units; negative times are allowed.
-        q0, v0 : array_like, shape (n,), optional
-            Initial state in D; pass both or neither.  Default: the system's initial data.
 
         Returns
         -------
@@ -613,8 +603,6 @@ class System(Handle):
         ------
         NotImplementedError
             If the system has no exact solution.
-        ValueError
-            If an argument has another shape.
 
         Examples
         --------
