@@ -23,6 +23,8 @@ class Shared:
     ----------
     raised : str
         Names of exceptions, separated by commas.
+    returns : str, optional
+        The section Returns.
     """
 
     _shared: dict[tuple[str, bool], str] = {}
@@ -37,8 +39,8 @@ class Shared:
         }
         cls._reasons = cls._reasons | dict(_entries(sections.get("Raises", "")))
 
-    def __init__(self, raised: str) -> None:
-        self._raised = raised.split(", ")
+    def __init__(self, raised: str, returns: str = "") -> None:
+        self._raised, self._returns = raised.split(", "), returns
 
     def __call__(self, function: Function) -> Function:
         """Complete the docstring of a function, and return the function."""
@@ -48,7 +50,7 @@ class Shared:
         raises = [name + self._reasons[name] for name in self._raised]
         sections = {
             "Parameters": self._parameters(function, own.pop("Parameters", "")),
-            "Returns": own.pop("Returns", ""),
+            "Returns": own.pop("Returns", self._returns),
             "Raises": "\n".join([*raises, own.pop("Raises", "")]),
         } | own
         function.__doc__ = "\n\n".join(

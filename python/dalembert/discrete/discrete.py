@@ -235,13 +235,9 @@ class Discrete(core.Constant):
 
     # ---- nodes and states ------------------------------------------------------------------
 
-    @_Documented("ValueError, DomainError")
+    @_Documented("ValueError, DomainError", "q, v : ndarray, shape (n,)")
     def state(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Pair:
         """Return the state (q, v) of a pair of nodes under the map of D_d (roloc).
-
-        Returns
-        -------
-        q, v : ndarray, shape (n,)
 
         Examples
         --------
@@ -252,15 +248,11 @@ class Discrete(core.Constant):
         q, v = self._call(lib.dal_discrete_state, (2, self.system.n), h=h, q0=q0, q1=q1)
         return q, v
 
-    @_Documented("ValueError, DomainError")
+    @_Documented("ValueError, DomainError", "q0, q1 : ndarray, shape (n,)")
     def nodes(self, h: float, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Pair:
         """Return the pair of nodes of a state: the inverse of `state`.
 
         A state in D gives a pair of D_d.
-
-        Returns
-        -------
-        q0, q1 : ndarray, shape (n,)
 
         Raises
         ------
@@ -278,13 +270,9 @@ class Discrete(core.Constant):
 
     # ---- the discrete Lagrangian and constraint ----------------------------------------------
 
-    @_Documented("ValueError, DomainError")
+    @_Documented("ValueError, DomainError", "float")
     def lagrangian(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> float:
         """Return L_d(q0, q1) = h L(rho(q0, q1)) (aprox, Ld1).
-
-        Returns
-        -------
-        float
 
         Examples
         --------
@@ -318,13 +306,9 @@ class Discrete(core.Constant):
         outputs = (ffi.NULL, (n,), (n,), (n, n))
         return self._call(lib.dal_discrete_lagrangian, *outputs, t=t, h=h, q0=q0, q1=q1)
 
-    @_Documented("ValueError, DomainError")
+    @_Documented("ValueError, DomainError", "ndarray, shape (m,)")
     def constraint(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> Array:
         """Return phi_d(q0, q1), which is zero for a pair of D_d (DiscNHSet).
-
-        Returns
-        -------
-        ndarray, shape (m,)
 
         Examples
         --------
@@ -335,15 +319,11 @@ class Discrete(core.Constant):
         outputs = ((self.system.m,), ffi.NULL, ffi.NULL)
         return self._call(lib.dal_discrete_constraint, *outputs, t=t, h=h, q0=q0, q1=q1)
 
-    @_Documented("ValueError, DomainError")
+    @_Documented("ValueError, DomainError", "D1, D2 : ndarray, shape (m, n)")
     def constraint_derivatives(
         self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0
     ) -> Pair:
         """Return D_1 phi_d and D_2 phi_d.
-
-        Returns
-        -------
-        D1, D2 : ndarray, shape (m, n)
 
         Examples
         --------
@@ -382,7 +362,7 @@ class Discrete(core.Constant):
         shape = (self.system.n,)
         return self._call(lib.dal_discrete_momenta, shape, shape, t=t, h=h, q0=q0, q1=q1)
 
-    @_Documented("ValueError, DomainError")
+    @_Documented("ValueError, DomainError", "minus, plus : float")
     def momentum(
         self,
         h: float,
@@ -401,10 +381,6 @@ class Discrete(core.Constant):
         ----------
         xi0, xi1 : array_like, shape (n,)
             The generator of the symmetry at q0 and at q1.
-
-        Returns
-        -------
-        minus, plus : float
 
         Examples
         --------
@@ -457,7 +433,7 @@ class Discrete(core.Constant):
         nodes = {"q_before": q_before, "q": q, "q_after": q_after}
         return self._call(lib.dal_discrete_residual, forces, shape, t=t, h=h, **nodes)
 
-    @_Documented("ValueError, DomainError")
+    @_Documented("ValueError, DomainError", "Regularity")
     def regularity(self, h: float, q: ArrayLike, q_after: ArrayLike, t: float = 0.0) -> Regularity:
         """Return the matrix that has to be invertible to determine q_after (REG, RegularityDLA).
 
@@ -469,10 +445,6 @@ class Discrete(core.Constant):
         q, q_after : array_like, shape (n,)
         t : float, optional
             Time of the preceding pair.
-
-        Returns
-        -------
-        Regularity
 
         Examples
         --------
@@ -512,7 +484,7 @@ class Discrete(core.Constant):
         multipliers = (self.system.m,)
         return after, self._call(lib.dal_discrete_step, before, after, multipliers, t=t, h=h)
 
-    @_Documented("ValueError")
+    @_Documented("ValueError", "NodeRun")
     def run(
         self, h: float, q0: ArrayLike, q1: ArrayLike, *, steps: int, t0: float = 0.0
     ) -> NodeRun:
@@ -526,10 +498,6 @@ class Discrete(core.Constant):
             Number of steps, each of which computes a node.
         t0 : float, optional
             Time of the pair (q0, q1), and of its state.
-
-        Returns
-        -------
-        NodeRun
 
         Raises
         ------

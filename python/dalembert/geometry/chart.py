@@ -160,13 +160,9 @@ class Chart(core.Constant):
 
     # ---- the connection ------------------------------------------------------------------
 
-    @_Documented("ValueError, DomainError, SingularError")
+    @_Documented("ValueError, DomainError, SingularError", "ndarray, shape (m, n-m) or (N, m, n-m)")
     def A(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Array:
         """Return A = B^-1 mu[:, independent], so that v_dependent = -A v_independent on D.
-
-        Returns
-        -------
-        ndarray, shape (m, n-m) or (N, m, n-m)
 
         Examples
         --------
@@ -177,13 +173,9 @@ class Chart(core.Constant):
         n, m = self.system.n, self.system.m
         return self._of_states(lib.dal_chart_connection, q, v, t, (m, n - m), ffi.NULL)
 
-    @_Documented("ValueError, DomainError, SingularError")
+    @_Documented("ValueError, DomainError, SingularError", "ndarray, shape (m, m) or (N, m, m)")
     def B(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Array:
         """Return B = mu[:, dependent].
-
-        Returns
-        -------
-        ndarray, shape (m, m) or (N, m, m)
 
         Examples
         --------
@@ -194,16 +186,12 @@ class Chart(core.Constant):
         m = self.system.m
         return self._of_states(lib.dal_chart_connection, q, v, t, ffi.NULL, (m, m))
 
-    @_Documented("ValueError, DomainError")
+    @_Documented("ValueError, DomainError", "float or ndarray, shape (N,)")
     def condition(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Any:
         """Return the largest ratio of v to v_independent, in the units 1/sqrt(M_ii).
 
         The value is at least 1, and does not depend on the forms that describe D.  It is infinite
         if the dependent velocities are not determined.
-
-        Returns
-        -------
-        float or ndarray, shape (N,)
 
         Examples
         --------
@@ -290,13 +278,9 @@ class Chart(core.Constant):
         x = self._of_coordinates(lib.dal_chart_lift, xi, t, (2 * self.system.n,), inputs=inputs)
         return mechanics.halves(x)
 
-    @_Documented("ValueError")
+    @_Documented("ValueError", "ndarray, shape (2n-m,) or (N, 2n-m)")
     def drop(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return xi = (q, v_independent).
-
-        Returns
-        -------
-        ndarray, shape (2n-m,) or (N, 2n-m)
 
         Examples
         --------
@@ -396,7 +380,7 @@ class Chart(core.Constant):
             multipliers = self.system.multipliers(q, v, t, inputs)
         return self._frame(lib.dal_chart_multipliers, q, v, multipliers, t)
 
-    @_Documented("ValueError, DomainError, SingularError")
+    @_Documented("ValueError, DomainError, SingularError", "ndarray, shape (m,) or (N, m)")
     def multipliers_back(
         self, q: ArrayLike, v: ArrayLike, multipliers: ArrayLike, t: ArrayLike = 0.0
     ) -> Array:
@@ -408,10 +392,6 @@ class Chart(core.Constant):
         ----------
         multipliers : array_like, shape (m,) or (N, m)
             lambda_E.
-
-        Returns
-        -------
-        ndarray, shape (m,) or (N, m)
 
         Examples
         --------

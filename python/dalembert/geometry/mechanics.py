@@ -221,16 +221,12 @@ def _rows(
 # ---- functions -----------------------------------------------------------------------------
 
 
-@Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError", "float or ndarray, shape (N,)")
 def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> Any:
     """Return the energy E = L_v v - L at each state.
 
     For constant mass it is v^T M v / 2 + V(q).  It is conserved on D, unless there is a force, the
     constraint forces do work (see `power`), or L depends on time.
-
-    Returns
-    -------
-    float or ndarray, shape (N,)
 
     Examples
     --------
@@ -241,7 +237,7 @@ def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> An
     return _quantity(system, q, v, "energy", t)
 
 
-@Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError", "ndarray, shape (m,) or (N, m)")
 def residual(
     system: Handle,
     q: ArrayLike,
@@ -255,10 +251,6 @@ def residual(
     It is zero on D for shift 0, and on D_eps for shift (1 - beta) h.  For linear constraints it is
     mu(q - shift v) v.
 
-    Returns
-    -------
-    ndarray, shape (m,) or (N, m)
-
     Examples
     --------
     >>> import dalembert as dal
@@ -268,7 +260,7 @@ def residual(
     return _quantity(system, q, v, "residual", t, shift=shift, inputs=inputs)
 
 
-@Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError", "float or ndarray, shape (N,)")
 def relative_residual(
     system: Handle,
     q: ArrayLike,
@@ -289,10 +281,6 @@ def relative_residual(
 
     The residual does not change if forms or coordinates are rescaled.  In states stored by a run it
     is at most ``4 n 2^-53``.
-
-    Returns
-    -------
-    float or ndarray, shape (N,)
 
     Examples
     --------
@@ -326,15 +314,11 @@ def multipliers(
     return _quantity(system, q, v, "multipliers", t, inputs=inputs)
 
 
-@Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError", "ndarray, shape (n, n) or (N, n, n)")
 def metric(
     system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
 ) -> Array:
     """Return the mass matrix M = L_vv at each state.
-
-    Returns
-    -------
-    ndarray, shape (n, n) or (N, n, n)
 
     Raises
     ------
@@ -380,15 +364,11 @@ def power(
     return _rows(system, lib.dal_power, q, v, (), (), t=t, inputs=inputs)
 
 
-@Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError", "ndarray, shape (m, m) or (N, m, m)")
 def gram(
     system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
 ) -> Array:
     """Return the symmetric, positive definite matrix C = mu M^-1 mu^T (lemma lemmaC).
-
-    Returns
-    -------
-    ndarray, shape (m, m) or (N, m, m)
 
     Examples
     --------
@@ -399,15 +379,11 @@ def gram(
     return _rows(system, lib.dal_gram, q, or_zero(v, q), (system.m, system.m), t=t)
 
 
-@Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError", "ndarray, shape (n,) or (N, n)")
 def acceleration(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
     """Return the acceleration vdot = f_v + M^-1 mu^T lambda, with f_v as in `multipliers`.
-
-    Returns
-    -------
-    ndarray, shape (n,) or (N, n)
 
     Examples
     --------
@@ -418,15 +394,11 @@ def acceleration(
     return _rows(system, lib.dal_acceleration, q, v, (system.n,), t=t, inputs=inputs)
 
 
-@Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError", "ndarray, shape (2n,) or (N, 2n)")
 def field(
     system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
     """Return the vector field (v, vdot) of the ODE on D.
-
-    Returns
-    -------
-    ndarray, shape (2n,) or (N, 2n)
 
     Examples
     --------
@@ -485,7 +457,7 @@ def perturbed(
     return system._mechanics.rows(lib.dal_perturbed, single, *given, inputs=rows)
 
 
-@Documented("ValueError, DomainError, SingularError")
+@Documented("ValueError, DomainError, SingularError", "ndarray, shape (n,) or (N, n)")
 def project(
     system: Handle,
     q: ArrayLike,
@@ -498,10 +470,6 @@ def project(
 
     For shift 0 and linear or affine constraints it is v - M^-1 mu^T C^-1 phi, the nearest velocity
     in D in the mass metric.
-
-    Returns
-    -------
-    ndarray, shape (n,) or (N, n)
 
     Raises
     ------
@@ -531,7 +499,7 @@ def projection(
     return system._mechanics.rows(lib.dal_project, False, t, shift, x, (), inputs=inputs)
 
 
-@Documented("ValueError, DomainError")
+@Documented("ValueError, DomainError", "ndarray, shape (n,) or (N, n)")
 def consistent(
     system: Handle,
     q0: ArrayLike,
@@ -549,10 +517,6 @@ def consistent(
     q0, v0 : array_like, shape (n,) or (N, n)
     keep : str, int, iterable of str, of int, or of bool, optional
         Coordinates whose velocities do not change: names, indices, or n truth values.
-
-    Returns
-    -------
-    ndarray, shape (n,) or (N, n)
 
     Raises
     ------

@@ -351,7 +351,7 @@ def animate(
     return Animation(scene, fps, trail, ax)
 
 
-@_Documented("ValueError, ImportError")
+@_Documented("ValueError, ImportError", "matplotlib axes")
 def snapshots(
     run: Solution,
     body: Body | None = None,
@@ -368,10 +368,6 @@ def snapshots(
     ----------
     count : int, optional
         Number of outlines, evenly spaced in time; later ones are darker.  Default 9.
-
-    Returns
-    -------
-    matplotlib axes
 
     Examples
     --------

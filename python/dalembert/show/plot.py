@@ -157,7 +157,7 @@ def convergence(
     return _legend(ax, "scheme: fitted order")
 
 
-@Documented("ValueError, ImportError")
+@Documented("ValueError, ImportError", "ndarray of two matplotlib axes")
 def drift(
     solution: Solution | Sequence[Solution],
     ax: Sequence[Axes] | None = None,
@@ -175,10 +175,6 @@ def drift(
     ----------
     ax : two matplotlib axes, optional
         Axes for D and for D_eps.
-
-    Returns
-    -------
-    ndarray of two matplotlib axes
 
     Examples
     --------

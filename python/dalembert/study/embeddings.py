@@ -254,7 +254,7 @@ class Embedding(core.Constant):
         """
         return self._along(lib.dal_embedding_field, tau, z)
 
-    @_Documented("ValueError, ConvergenceError, Exception")
+    @_Documented("ValueError, ConvergenceError, Exception", "ndarray, shape (2n,) or (N, 2n)")
     def g_tilde(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
         """Return g~ = (dpsi/dxi) g in the state (q, v), a vector tangent to D (tildeg).
 
@@ -264,10 +264,6 @@ class Embedding(core.Constant):
         Parameters
         ----------
         z : array_like, shape (2n-m,) or (N, 2n-m), optional
-
-        Returns
-        -------
-        ndarray, shape (2n,) or (N, 2n)
 
         Examples
         --------
@@ -279,16 +275,12 @@ class Embedding(core.Constant):
         points = self._point(z, "z", (None, self.start.size))
         return np.einsum("...ij,...j->...i", self.chart.jacobian(points), self.g(tau, points))
 
-    @_Documented("ValueError, Exception")
+    @_Documented("ValueError, Exception", "ndarray, shape (2n-m,)")
     def limit(self, z: ArrayLike | None = None) -> Array:
         """Return d(z) = (Phi(z) - F(h, z)) / h^(p+1).
 
         As h -> 0, d tends to the error constant of the scheme, and g(tau, z) to -chi_0'(tau) d(z).
         The slope chi_0' is that of `dalembert.geometry.cutoff`.
-
-        Returns
-        -------
-        ndarray, shape (2n-m,)
 
         Examples
         --------
@@ -304,7 +296,7 @@ class Embedding(core.Constant):
 
     # ---- curves ----------------------------------------------------------------------------
 
-    @_Documented("ValueError, Exception")
+    @_Documented("ValueError, Exception", "ndarray, shape (2n-m,) or (N, 2n-m)")
     def curve(
         self,
         tau: ArrayLike,
@@ -321,10 +313,6 @@ class Embedding(core.Constant):
         ----------
         y : array_like, shape (2n-m,) or (N, 2n-m), optional
 
-        Returns
-        -------
-        ndarray, shape (2n-m,) or (N, 2n-m)
-
         Examples
         --------
         >>> import dalembert as dal
@@ -335,17 +323,13 @@ class Embedding(core.Constant):
         """
         return self._along(lib.dal_embedding_curve, tau, y, "y", progress)
 
-    @_Documented("ValueError, ConvergenceError, Exception")
+    @_Documented("ValueError, ConvergenceError, Exception", "ndarray, shape (2n-m,) or (N, 2n-m)")
     def source(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
         """Return the start y of the curve through z at tau - floor(tau) (ztilde).
 
         Parameters
         ----------
         z : array_like, shape (2n-m,) or (N, 2n-m), optional
-
-        Returns
-        -------
-        ndarray, shape (2n-m,) or (N, 2n-m)
 
         Examples
         --------
@@ -357,7 +341,7 @@ class Embedding(core.Constant):
         """
         return self._along(lib.dal_embedding_source, tau, z)
 
-    @_Documented("ValueError, ConvergenceError, Exception")
+    @_Documented("ValueError, ConvergenceError, Exception", "ndarray, shape (2n-m,)")
     def flow(
         self,
         t0: float,
@@ -374,10 +358,6 @@ class Embedding(core.Constant):
         ----------
         t0, t1 : float
             Times in the user's units; ``t1 < t0`` is allowed.
-
-        Returns
-        -------
-        ndarray, shape (2n-m,)
 
         Examples
         --------
@@ -396,13 +376,9 @@ class Embedding(core.Constant):
 
     # ---- how large g is --------------------------------------------------------------------
 
-    @_Documented("ValueError, ConvergenceError, Exception")
+    @_Documented("ValueError, ConvergenceError, Exception", "float")
     def bound(self, z: ArrayLike | None = None) -> float:
         """Return the largest component of ``|g(tau, z)|`` over a period.
-
-        Returns
-        -------
-        float
 
         Examples
         --------
@@ -417,15 +393,11 @@ class Embedding(core.Constant):
         """
         return float(np.abs(self.g(TAUS, self._point(z, "z"))).max())
 
-    @_Documented("ValueError, ConvergenceError, Exception")
+    @_Documented("ValueError, ConvergenceError, Exception", "bool")
     def meaningful(self, z: ArrayLike | None = None) -> bool:
         """Return whether ``|g|`` is at least 100 times its noise at some time in a period.
 
         If not, for example for p = 4 and small h, the values of g are roundoff.
-
-        Returns
-        -------
-        bool
 
         Examples
         --------
@@ -469,7 +441,7 @@ class Embedding(core.Constant):
         return dataclasses.replace(raw, slope=raw.slope - 1)
 
 
-@Common("ValueError")
+@Common("ValueError", "Embedding")
 def embedding(
     system: System,
     scheme: Scheme | str | float,
@@ -506,10 +478,6 @@ def embedding(
         noise is about tolerance h^-(p+1).
     numerical : bool, optional
         True: F is the reference flow even if the system has an exact solution.
-
-    Returns
-    -------
-    Embedding
 
     Raises
     ------

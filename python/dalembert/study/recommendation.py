@@ -116,7 +116,7 @@ def _time(seconds: float) -> str:
     return f"{seconds * 1e6:.0f} us"
 
 
-@Common("ValueError")
+@Common("ValueError", "Recommendation")
 def recommend(
     system: System,
     q0: ArrayLike | None = None,
@@ -149,10 +149,6 @@ def recommend(
         default 1e-6.
     inputs : array_like, shape (k,), or mapping, optional
         Inputs of a system that has k of them, constant over the whole run.
-
-    Returns
-    -------
-    Recommendation
 
     Raises
     ------

@@ -35,7 +35,7 @@ FITS = (  # in the order of dal_order_fit
 )  # fmt: skip
 
 
-@Common("ValueError")
+@Common("ValueError", "Study")
 def convergence(
     system: System,
     scheme: Scheme | str | float | None = None,
@@ -74,10 +74,6 @@ def convergence(
     progress : bool or callable, optional
         True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers of
         steps.
-
-    Returns
-    -------
-    Study
 
     Raises
     ------

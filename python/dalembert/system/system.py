@@ -584,7 +584,7 @@ class System(Handle):
         status = core.attempt(lib.dal_system_exact, self._handle, 0.0, x, y)
         return bool(status != lib.DAL_EUNSUPPORTED)
 
-    @Common("ValueError")
+    @Common("ValueError", "q, v : ndarray, shape (n,) or (N, n)")
     def exact(
         self, t: ArrayLike, q0: ArrayLike | None = None, v0: ArrayLike | None = None
     ) -> Pair:
@@ -594,10 +594,6 @@ class System(Handle):
         ----------
         t : float or array_like, shape (N,)
             Time since the initial state, in the user's units; negative times are allowed.
-
-        Returns
-        -------
-        q, v : ndarray, shape (n,) or (N, n)
 
         Raises
         ------

@@ -38,7 +38,7 @@ def members():
 
 
 def test_shared_sections_come_before_and_after_own_ones():
-    @Documented("ValueError, TypeError")
+    @Documented("ValueError, TypeError", "float")
     def function(q, v, h=1.0, *, keep):
         """Return it.
 
@@ -47,10 +47,6 @@ def test_shared_sections_come_before_and_after_own_ones():
         keep : bool
             Whether: it stays.
         h : float, optional
-
-        Returns
-        -------
-        float
 
         Raises
         ------
