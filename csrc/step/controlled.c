@@ -82,7 +82,7 @@ static int make(dal_stepper *self, const dal_options *options, dal_error *error)
                               .allowed = PART * pow(tolerance, (order + 1.0) / order)};
     dal__reserve(&self->vary.arena, &made, 1, sizeof *made);
     DAL__RESERVE(&self->vary.arena, 2 * self->mech.n, &shape.estimate, &shape.field);
-    dal__place_reserve(self, &shape.after, &self->vary.arena);
+    dal__snapshot_reserve(self, &shape.after, &self->vary.arena);
     status = dal__vary_make(self, error);
     if (status) return status;
     *made = shape;
@@ -219,11 +219,11 @@ static int measure_share(dal_stepper *self, double t, double h, double estimate)
     const size_t N = 2 * self->mech.n;
     double *const difference = pace->field;
     double twice;
-    dal__remember(self, &pace->after);
+    dal__snapshot_take(self, &pace->after);
     int status = attempt(self, t + h, h, &twice);
     if (!status) {
         memcpy(difference, motion->x, N * sizeof *difference);
-        dal__go_back(self, &self->vary.before);
+        dal__snapshot_restore(self, &self->vary.before);
         status = attempt(self, t, 2.0 * h, &twice);
     }
     if (!status) {
@@ -235,7 +235,7 @@ static int measure_share(dal_stepper *self, double t, double h, double estimate)
             pace->share = pace->share == FIRST_SHARE || share > pace->share
                               ? share : sqrt(share * pace->share);
     }
-    dal__go_back(self, &pace->after);
+    dal__snapshot_restore(self, &pace->after);
     return dal__is_final(status) ? status : DAL_SUCCESS;
 }
 
@@ -277,7 +277,7 @@ static int one_step(dal_stepper *self)
     dal_motion *const motion = &self->motion;
     const double t = dal_stepper_time(self), power = 1.0 / (pace->order + 1.0);
     double h = pace->h;
-    dal__remember(self, &self->vary.before);
+    dal__snapshot_take(self, &self->vary.before);
     for (int k = 1;; k++) {
         const double length = fit(self, t, h);
         const bool whole = fabs(length) >= fabs(h) - 4.0 * DAL_ROUNDOFF * (fabs(t) + fabs(h));
@@ -301,7 +301,7 @@ static int one_step(dal_stepper *self)
         h = length * fmax(LEAST_AFTER_FAILURE, SAFETY * pow(error, -power));
         /* steps of some roundings of t would come closer to the edge of a domain for ever */
         const bool hopeless = k == ATTEMPTS || fabs(h) <= 16.0 * DAL_ROUNDOFF * fabs(t);
-        dal__go_back(self, &self->vary.before);
+        dal__snapshot_restore(self, &self->vary.before);
         motion->t0 = t;
         motion->first = motion->steps;
         if (dal__is_final(status) || (hopeless && status)) return status;

@@ -2,7 +2,7 @@
 #ifndef DAL__CONTROLLED_H
 #define DAL__CONTROLLED_H
 
-#include "step/place.h"
+#include "step/snapshot.h"
 
 typedef struct dal__pace {
     int q, order;            /* the estimate is O(h^(q+1)), the error O(h^(order+1)) */
@@ -13,7 +13,7 @@ typedef struct dal__pace {
                                 is allowed */
     double share;            /* by which the error of a step follows from its estimate */
     double *estimate, *field; /* [2n] */
-    dal__place after;        /* a step */
+    dal__snapshot after;     /* a step */
 } dal__pace;
 
 #endif /* DAL__CONTROLLED_H */

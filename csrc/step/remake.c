@@ -9,8 +9,8 @@ int dal__remake_make(dal_stepper *self, dal_error *error)
 {
     dal__remake *const remake = &self->remake;
     if (dal_stepper_saved(self) == 0) return DAL_SUCCESS; /* the family cannot restore a motion */
-    dal__place_reserve(self, &remake->here, &remake->arena);
-    dal__place_reserve(self, &remake->there, &remake->arena);
+    dal__snapshot_reserve(self, &remake->here, &remake->arena);
+    dal__snapshot_reserve(self, &remake->there, &remake->arena);
     DAL__RESERVE(&remake->arena, self->motion.system->def.inputs, &remake->input,
                  &remake->applied);
     dal__rank_reserve(&remake->guards.rank, self->mech.n, self->mech.m, &remake->arena);
@@ -23,7 +23,7 @@ void dal__remake_begin(dal_stepper *self)
     const evaluator *const e = &self->mech.eval;
     const size_t calls[4] = {e->constraint_calls, e->potential_calls, e->lagrangian_calls,
                              e->force_calls};
-    dal__remember(self, &remake->here);
+    dal__snapshot_take(self, &remake->here);
     dal__copy(self->motion.system->def.inputs, self->motion.input, remake->input);
     if (self->applied) dal__copy(self->motion.system->def.inputs, self->applied, remake->applied);
     memcpy(remake->calls, calls, sizeof calls);
@@ -43,7 +43,7 @@ void dal__remake_end(dal_stepper *self)
     dal__copy(self->motion.system->def.inputs, remake->input, e->own_input);
     if (self->applied) dal__copy(self->motion.system->def.inputs, remake->applied, self->applied);
     self->motion.guards = &self->guards;
-    dal__go_back(self, &remake->here);
+    dal__snapshot_restore(self, &remake->here);
     *self->motion.stats = remake->stats;
     self->motion.steps = remake->steps;
     self->motion.watch = remake->watch;
@@ -81,12 +81,12 @@ bool dal__remake_steps(dal_stepper *self, size_t steps)
 
 void dal__remake_pause(dal_stepper *self)
 {
-    dal__remember(self, &self->remake.there);
+    dal__snapshot_take(self, &self->remake.there);
     self->remake.paused = self->motion.steps;
 }
 
 void dal__remake_resume(dal_stepper *self)
 {
-    dal__go_back(self, &self->remake.there);
+    dal__snapshot_restore(self, &self->remake.there);
     self->motion.steps = self->remake.paused;
 }

@@ -2,12 +2,12 @@
 #ifndef DAL__REMAKE_H
 #define DAL__REMAKE_H
 
-#include "step/place.h"
+#include "step/snapshot.h"
 #include "geometry/geometry.h"
 
 /* Steps of the motion that are computed again with another h (remake.c). */
 typedef struct dal__remake {
-    dal__place here, there; /* of the motion; of the other steps, between two calls */
+    dal__snapshot here, there; /* of the motion; of the other steps, between two calls */
     dal_stats stats;        /* the rest of the motion */
     size_t calls[4], steps, paused; /* the last: of the other steps */
     double *input, *applied; /* [inputs] */

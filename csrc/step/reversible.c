@@ -261,7 +261,7 @@ static int one_step(dal_stepper *self)
     const double t = dal_stepper_time(self), left = self->until - t;
     dal__reversible now = *of;
     size_t resets = 0;
-    dal__remember(self, &self->vary.before);
+    dal__snapshot_take(self, &self->vary.before);
     for (int k = 1;; k++) {
         const double whole = dal__stepper_ahead(self) * now.eps / now.rho;
         /* what would be left of 1e-9 h is not worth a step */
@@ -291,7 +291,7 @@ static int one_step(dal_stepper *self)
             motion->stats->resets += resets;
             return DAL_SUCCESS;
         }
-        dal__go_back(self, &self->vary.before);
+        dal__snapshot_restore(self, &self->vary.before);
         const bool hopeless = k == ATTEMPTS || !(fabs(h) > 16.0 * DAL_ROUNDOFF * fabs(t));
         if (dal__is_final(status) || (hopeless && motion->error->text[0])) return status;
         if (hopeless)

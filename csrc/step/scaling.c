@@ -58,7 +58,7 @@ int dal__scaling_make(dal_stepper *self, const dal_options *options, dal_error *
                          self->scheme.name);
     const int status = check_system(self->motion.system, error);
     if (status) return status;
-    dal__place_reserve(self, &self->scaling.before, &self->scaling.arena);
+    dal__snapshot_reserve(self, &self->scaling.before, &self->scaling.arena);
     self->scaling.wanted = true;
     return dal__allocate(&self->scaling.arena, error);
 }
@@ -162,7 +162,7 @@ static int finish(dal_stepper *self)
 static int make_scaled(dal_stepper *self, double s)
 {
     double *const worst = &self->motion.stats->worst_residual;
-    dal__go_back(self, &self->scaling.before);
+    dal__snapshot_restore(self, &self->scaling.before);
     scale(self, 1.0 + s);
     *worst = 0.0; /* that of this step alone */
     int status = make(self);
@@ -176,11 +176,11 @@ static int scaled_step(dal_stepper *self)
     dal_mechanics *const mech = &self->mech;
     dal_stats *const stats = self->motion.stats;
     double E = NAN, before, after = 0.0;
-    dal__remember(self, &self->scaling.before);
+    dal__snapshot_take(self, &self->scaling.before);
     int status = measure(mech, self->motion.x, NULL, &before);
     if (!status) status = make(self);
     if (status) {
-        dal__go_back(self, &self->scaling.before);
+        dal__snapshot_restore(self, &self->scaling.before);
         return status;
     }
     status = measure(mech, self->motion.x, &E, &after);
@@ -194,11 +194,11 @@ static int scaled_step(dal_stepper *self)
         self->jump.undone += defect;
         return DAL_SUCCESS;
     }
-    if (possible || dal__is_final(status)) dal__go_back(self, &self->scaling.before);
+    if (possible || dal__is_final(status)) dal__snapshot_restore(self, &self->scaling.before);
     if (dal__is_final(status)) return status;
     stats->unscaled++;
     status = possible ? make(self) : DAL_SUCCESS; /* which is the step that it was */
-    if (status) dal__go_back(self, &self->scaling.before);
+    if (status) dal__snapshot_restore(self, &self->scaling.before);
     return status;
 }
 

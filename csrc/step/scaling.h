@@ -2,14 +2,14 @@
 #ifndef DAL__SCALING_H
 #define DAL__SCALING_H
 
-#include "step/place.h"
+#include "step/snapshot.h"
 #include "geometry/geometry.h"
 
 /* Steps that keep the energy (scaling.c), whatever controls their size. */
 typedef struct dal__scaling {
     bool wanted;
     double energy;     /* that is kept */
-    dal__place before; /* a step */
+    dal__snapshot before; /* a step */
     arena arena;
 } dal__scaling;
 /* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */

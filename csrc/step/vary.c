@@ -7,7 +7,7 @@
 
 int dal__vary_make(dal_stepper *self, dal_error *error)
 {
-    dal__place_reserve(self, &self->vary.before, &self->vary.arena);
+    dal__snapshot_reserve(self, &self->vary.before, &self->vary.arena);
     return dal__allocate(&self->vary.arena, error);
 }
 

@@ -2,14 +2,15 @@
 #ifndef DAL__VARY_H
 #define DAL__VARY_H
 
-#include "step/place.h"
+#include "step/snapshot.h"
 
 /* Data that the controls of steps of varying size share (vary.c). */
 typedef struct dal__vary {
-    dal__place before;       /* a step */
+    dal__snapshot before;    /* a step */
     arena arena;             /* of what the control has made, too */
 } dal__vary;
-/* Memory for all that a control has reserved in stepper->vary.arena, and for the place before. */
+/* Memory for all that a control has reserved in stepper->vary.arena, and for the snapshot before
+ * a step. */
 int dal__vary_make(dal_stepper *stepper, dal_error *error);
 /* The step of such a control: one step by step(stepper), whose next size is *h before and after it.
  * First it checks that steps still lead on, and that C keeps its rank where they become short. */

@@ -563,9 +563,9 @@ static void test_any_size(void)
                 CHECK_NEAR(energy_of(mechanics, dal_stepper_state(stepper)), E, 16.0 * U * fabs(E));
             CHECK(dal_stepper_time(stepper) == end);
             const double undone = stepper->jump.undone; /* a step that is taken back counts not */
-            dal__remember(stepper, &stepper->vary.before);
+            dal__snapshot_take(stepper, &stepper->vary.before);
             CHECK(dal__vary_step(stepper, end, 0.1) == 0 && stepper->jump.undone != undone);
-            dal__go_back(stepper, &stepper->vary.before);
+            dal__snapshot_restore(stepper, &stepper->vary.before);
             CHECK(stepper->jump.undone == undone);
             for (size_t i = 0; i < 2 * system->def.n; i++)
                 CHECK_NEAR(dal_stepper_state(stepper)[i], dal_stepper_state(reference)[i], 1e-6);
