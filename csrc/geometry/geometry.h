@@ -60,7 +60,7 @@ struct dal_mechanics {
      * the three values above are those of the same state. */
     double *force, *lambda;       /* [n], [m] */
     double *w, *step;             /* [n] */
-    double *point;                /* [2n] the state that is projected; of jump.c too */
+    double *point;                /* [2n] the state that is projected; of energy_jump.c too */
     double t, shift;              /* its time; the D or D_eps of this shift */
     double relative;              /* the residual of what dal_project left in D */
     double *hessian;              /* [n*n]: L_qq, or V_qq; NULL if lean */

@@ -318,7 +318,7 @@ static bool is_suspect(const dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
     dal__guard *const g = &stepper->guard;
-    const dal__jump *const jump = &stepper->jump;
+    const dal__energy_jump *const jump = &stepper->energy_jump;
     const size_t N = 2 * stepper->mech.n, steps = run->done - g->begin;
     see(g, stepper->mech.n, stepper->motion.x);
     for (size_t i = 0; i < N; i++) g->sum[i] += g->rate[i] * (double)(run->done - g->covered);

@@ -1,7 +1,6 @@
-/* An energy that jumps.  Where nothing does work on the system the energy of a step that
- * is sensible stays near what it was; one that was refused by nothing and yet has changed it by
- * more than half of the kinetic energy went astray. */
-#include "step/jump.h"
+/* A step that changes the energy by more than half the kinetic energy, with no work done, is
+ * wrong. */
+#include "step/energy_jump.h"
 
 #include <math.h>
 #include <string.h>
@@ -32,10 +31,11 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
     return status;
 }
 
-int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shift, const double *x)
+int dal__energy_jump_start(dal__energy_jump *jump, dal_mechanics *mech, int order, double shift,
+                           const double *x)
 {
     const dal_system_def *const def = &mech->eval.system->def;
-    *jump = (dal__jump){.shift = shift};
+    *jump = (dal__energy_jump){.shift = shift};
     if (order == 1 || !dal__is_autonomous(mech->eval.system) || def->kind != DAL_LINEAR)
         return DAL_SUCCESS;
     const int status = energies(mech, shift, x, &jump->energy, &jump->kinetic);
@@ -43,7 +43,7 @@ int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shif
     return status;
 }
 
-int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x)
+int dal__energy_jump_look(dal__energy_jump *jump, dal_mechanics *mech, size_t step, const double *x)
 {
     double E, kinetic;
     if (!jump->looking || jump->step > 0) return DAL_SUCCESS;
@@ -60,7 +60,7 @@ int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const doub
     return DAL_SUCCESS;
 }
 
-void dal__jump_save(dal__jump *jump, dal__archive *a)
+void dal__energy_jump_save(dal__energy_jump *jump, dal__archive *a)
 {
     dal__archive_flag(a, &jump->looking);
     dal__archive_real(a, &jump->shift);

@@ -13,7 +13,7 @@ typedef struct member {
     size_t begin;    /* number of its next step then */
     dal_stats stats;
     size_t calls[4]; /* of its evaluator */
-    dal__jump jump;
+    dal__energy_jump energy_jump;
     dal__rank rank;
 } member;
 
@@ -181,7 +181,8 @@ void dal__lanes_load(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
                      .stats = dal__beta_kernel(stepper)->stats,
                      .calls = {e->constraint_calls, e->potential_calls, e->lagrangian_calls,
                                e->force_calls},
-                     .jump = stepper->jump, .rank.largest = lanes->largest + lane * lanes->m};
+                     .energy_jump = stepper->energy_jump,
+                     .rank.largest = lanes->largest + lane * lanes->m};
     dal__rank_copy(lanes->m, &stepper->guards.rank, &self->rank);
     *carried(lanes, lane, DAL_LANES_GOING) = 1.0;
 }
@@ -244,7 +245,7 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     e->potential_calls = self->calls[1];
     e->lagrangian_calls = self->calls[2];
     e->force_calls = self->calls[3];
-    stepper->jump = self->jump;
+    stepper->energy_jump = self->energy_jump;
     dal__rank_copy(lanes->m, &self->rank, &stepper->guards.rank);
     stepper->started = true;
     dal__guard_forget(stepper);

@@ -39,9 +39,9 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->lagrangian_calls += e->lagrangian_calls;
     stats->force_calls += e->force_calls;
     stats->differenced = stepper->motion.system->def.missing;
-    stats->jump_step = stepper->jump.step;
-    stats->jump = stepper->jump.change;
-    stats->largest_kinetic = stepper->jump.kinetic;
+    stats->jump_step = stepper->energy_jump.step;
+    stats->jump = stepper->energy_jump.change;
+    stats->largest_kinetic = stepper->energy_jump.kinetic;
     dal__guards_tell(&stepper->guards, stats);
     stats->remade = stepper->guard.remade;
     stats->whole = !stepper->guard.whole ? 0 : stepper->guard.piece == 0 ? 1 : 2;

@@ -12,8 +12,8 @@
  * is that of Phi(q, (1 + s) v), and M (v' - v) is that of V and mu^T impulse, and s M v + (c-1) M w
  * beside them.
  *
- * What scaling undoes would have added up in plain steps, to the drift of their energy, or, where h
- * is too large or V_q is not the gradient of V, to what no motion has: jump.c looks at the sum. */
+ * The changes of the energy that the scalings undo add up to the drift of plain steps.  If h is too
+ * large, or V_q is not the gradient of V, no motion has such a sum: energy_jump.c checks it. */
 #include "step/scaling.h"
 
 #include "step/stepper.h"
@@ -191,7 +191,7 @@ static int scaled_step(dal_stepper *self)
     if (possible) status = make_scaled(self, s);
     if (possible && status == DAL_SUCCESS) {
         stats->scaled++;
-        self->jump.undone += defect;
+        self->energy_jump.undone += defect;
         return DAL_SUCCESS;
     }
     if (possible || dal__is_final(status)) dal__snapshot_restore(self, &self->scaling.before);

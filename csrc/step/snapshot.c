@@ -21,7 +21,7 @@ void dal__snapshot_take(dal_stepper *stepper, dal__snapshot *snapshot)
     snapshot->h = motion->h;
     snapshot->first = motion->first;
     snapshot->worst = motion->stats->worst_residual;
-    snapshot->undone = stepper->jump.undone;
+    snapshot->undone = stepper->energy_jump.undone;
     snapshot->scaled = motion->stats->scaled;
     snapshot->unscaled = motion->stats->unscaled;
     if (stepper->family->save) stepper->family->save(stepper->method, snapshot->memory);
@@ -37,7 +37,7 @@ void dal__snapshot_restore(dal_stepper *stepper, const dal__snapshot *snapshot)
     motion->h = snapshot->h;
     motion->first = snapshot->first;
     motion->stats->worst_residual = snapshot->worst;
-    stepper->jump.undone = snapshot->undone;
+    stepper->energy_jump.undone = snapshot->undone;
     motion->stats->scaled = snapshot->scaled;
     motion->stats->unscaled = snapshot->unscaled;
     if (stepper->family->restore) stepper->family->restore(stepper->method, snapshot->memory);

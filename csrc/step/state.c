@@ -47,7 +47,7 @@ static void save(dal_stepper *self, dal__archive *a)
     dal__archive_any(a, &self->scaling.energy);
     if (self->control->save) self->control->save(self, a);
     save_counts(self, a);
-    dal__jump_save(&self->jump, a);
+    dal__energy_jump_save(&self->energy_jump, a);
     dal__creep_save(&self->guards.creep, a);
     dal__rank_save(&self->guards.rank, self->mech.m, a);
     dal__archive_vector(a, 2 * self->mech.n, motion->x);

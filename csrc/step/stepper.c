@@ -240,9 +240,9 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
         status = dal__check_degree(&self->mech, t0, self->fresh, "inputs in constraints");
     if (!status && initial == DAL_INITIAL_SHIFT) status = move_node(self, shift, self->fresh);
     if (!status) dal__rank_find(&self->guards.rank, &self->mech);
-    dal__jump jump = {0};
+    dal__energy_jump jump = {0};
     if (!status)
-        status = dal__jump_start(&jump, &self->mech, self->scheme.order, shift, self->fresh);
+        status = dal__energy_jump_start(&jump, &self->mech, self->scheme.order, shift, self->fresh);
     if (!status) status = dal__scaling_start(self, self->fresh, &kept);
     if (!status && self->control->start)
         status = self->control->start(self, t0, h, self->fresh, &first);
@@ -258,7 +258,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     motion->steps = motion->first = 0;
     self->until = h > 0.0 ? (double)INFINITY : -(double)INFINITY;
     *motion->stats = stats;
-    self->jump = jump;
+    self->energy_jump = jump;
     dal__rank_start(&self->guards.rank, self->mech.m);
     self->guards.creep = (dal__creep){0};
     dal__guard_forget(self);
@@ -289,8 +289,8 @@ static void note_effort(dal_stepper *self)
 int dal__stepper_look(dal_stepper *stepper)
 {
     note_effort(stepper);
-    const int status = dal__jump_look(&stepper->jump, &stepper->mech, stepper->motion.steps,
-                                      stepper->motion.x);
+    const int status = dal__energy_jump_look(&stepper->energy_jump, &stepper->mech,
+                                             stepper->motion.steps, stepper->motion.x);
     if (status) stepper->error = stepper->mech.error;
     return status;
 }
@@ -298,15 +298,15 @@ int dal__stepper_look(dal_stepper *stepper)
 int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
 {
     dal_motion *const motion = &stepper->motion;
-    dal__jump jump = {0};
-    int status =
-        dal__jump_start(&jump, &stepper->mech, stepper->scheme.order, stepper->jump.shift, x);
+    dal__energy_jump jump = {0};
+    int status = dal__energy_jump_start(&jump, &stepper->mech, stepper->scheme.order,
+                                        stepper->energy_jump.shift, x);
     if (status) {
         stepper->error = stepper->mech.error;
         return status;
     }
     if (stepper->control->land) stepper->control->land(stepper);
-    if (stepper->jump.step == 0) stepper->jump = jump;
+    if (stepper->energy_jump.step == 0) stepper->energy_jump = jump;
     stepper->scaling.energy = kept;
     memcpy(motion->x, x, 2 * stepper->mech.n * sizeof *x);
     if (stepper->family->start) stepper->family->start(stepper->method, motion);

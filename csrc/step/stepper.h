@@ -5,7 +5,7 @@
 #include "dalembert/family.h"
 #include "step/control.h"
 #include "step/guard.h"
-#include "step/jump.h"
+#include "step/energy_jump.h"
 #include "step/remake.h"
 #include "step/scaling.h"
 #include "step/vary.h"
@@ -21,7 +21,7 @@ struct dal_stepper {
     dal_stats stats;
     double *fresh;         /* [2n] initial data being examined */
     double *applied;       /* [inputs] in whose D the state is, if constraints depend on them */
-    dal__jump jump;
+    dal__energy_jump energy_jump;
     struct dal__guards guards;
     const dal__control *control;
     void *controlled;      /* what it has made */

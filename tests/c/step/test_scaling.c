@@ -530,7 +530,8 @@ static void test_saved(void)
         dal_stepper_stats(other, &b);
         CHECK(a.scaled == b.scaled && a.constraint_calls == b.constraint_calls);
         CHECK(one->scaling.energy == other->scaling.energy);
-        CHECK(one->jump.undone == other->jump.undone && one->jump.undone != 0.0);
+        CHECK(one->energy_jump.undone == other->energy_jump.undone);
+        CHECK(one->energy_jump.undone != 0.0);
         for (size_t i = count - 1; i < count; i--) { /* no number may lead astray without a word */
             memcpy(bad, values, count * sizeof *bad);
             bad[i] = -1.5;
@@ -562,11 +563,12 @@ static void test_any_size(void)
             while (dal_stepper_time(stepper) < end && dal_step(stepper, NULL) == 0)
                 CHECK_NEAR(energy_of(mechanics, dal_stepper_state(stepper)), E, 16.0 * U * fabs(E));
             CHECK(dal_stepper_time(stepper) == end);
-            const double undone = stepper->jump.undone; /* a step that is taken back counts not */
+            /* a step that is taken back does not count */
+            const double undone = stepper->energy_jump.undone;
             dal__snapshot_take(stepper, &stepper->vary.before);
-            CHECK(dal__vary_step(stepper, end, 0.1) == 0 && stepper->jump.undone != undone);
+            CHECK(dal__vary_step(stepper, end, 0.1) == 0 && stepper->energy_jump.undone != undone);
             dal__snapshot_restore(stepper, &stepper->vary.before);
-            CHECK(stepper->jump.undone == undone);
+            CHECK(stepper->energy_jump.undone == undone);
             for (size_t i = 0; i < 2 * system->def.n; i++)
                 CHECK_NEAR(dal_stepper_state(stepper)[i], dal_stepper_state(reference)[i], 1e-6);
             dal_stepper_stats(stepper, &stats);
