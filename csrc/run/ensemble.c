@@ -55,15 +55,15 @@ static dal_law law_of(const dal__worker *self, const dal_law *given)
 }
 
 /* The rows of inputs of the longest of the members. */
-static size_t most_holds(const dal_members *members, size_t first, size_t count)
+static size_t most_input_rows(const dal_members *members, size_t first, size_t count)
 {
-    const size_t hold = members->hold > 0 ? members->hold : 1;
+    const size_t input_steps = members->input_steps > 0 ? members->input_steps : 1;
     size_t most = 0;
     for (size_t k = first; k < first + count; k++) {
         const size_t steps = *ROW_OF(members, steps, k);
         if (steps > most) most = steps;
     }
-    return most / hold + (most % hold > 0);
+    return most / input_steps + (most % input_steps > 0);
 }
 
 /* The events, with the ctx of the system where they have none of their own. */
@@ -91,7 +91,7 @@ static bool use_lanes(const dal_members *members, const dal_options *options)
 }
 
 static int worker_init(dal__worker *self, const dal_system *system, const dal_scheme *scheme,
-                       const dal_options *options, size_t holds, dal_error *error)
+                       const dal_options *options, size_t input_rows, dal_error *error)
 {
     const dal_members *const members = self->members;
     const size_t N = 2 * system->def.n;
@@ -102,7 +102,8 @@ static int worker_init(dal__worker *self, const dal_system *system, const dal_sc
     dal__reserve(&self->arena, &self->lane, self->width, sizeof *self->lane);
     dal__reserve(&self->arena, &self->laws, members->event_count, sizeof *self->laws);
     dal__reserve(&self->arena, &scratch, members->event_count * N, sizeof *scratch);
-    dal__reserve(&self->arena, &self->inputs, holds, system->def.inputs * sizeof *self->inputs);
+    dal__reserve(&self->arena, &self->inputs, input_rows,
+                 system->def.inputs * sizeof *self->inputs);
     int status = dal__allocate(&self->arena, error);
     for (size_t i = 0; !status && i < members->event_count; i++)
         self->laws[i].scratch = scratch + i * N;
@@ -146,8 +147,8 @@ int dal_ensemble_run(const dal_system *system, const dal_scheme *scheme, const d
     dal__worker self = {.members = members, .first = first, .rows = rows,
                         .reactions = stride > 0 ? rows - 1 : 1, .piece = 1,
                         .watch = {.function = watch, .ctx = ctx}};
-    const size_t holds = members->control ? most_holds(members, first, count) : 0;
-    status = worker_init(&self, system, scheme, options, holds, error);
+    const size_t input_rows = members->control ? most_input_rows(members, first, count) : 0;
+    status = worker_init(&self, system, scheme, options, input_rows, error);
     if (!status && self.lanes) dal__batches_run(&self, count);
     else if (!status) run_members(&self, count);
     if (self.stopped) status = dal__fail(error, self.stopped, "%s", self.stepper->error.text);

@@ -139,7 +139,7 @@ static bool go(dal_run *run, size_t budget)
         if (g->ratio < 1.0) {
             if (run->inputs) {
                 some = 1;
-                dal__copy(width, run->inputs + (g->first + g->at) / dal__hold(run) * width,
+                dal__copy(width, run->inputs + (g->first + g->at) / dal__input_steps(run) * width,
                           stepper->mech.eval.own_input);
             }
             steps = 2 * some;

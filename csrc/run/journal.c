@@ -25,30 +25,31 @@ static dal__head head_of(const dal_run *run)
     const dal_stepper *const stepper = run->stepper;
     const bool controlled = dal__run_varies(run);
     const size_t m = stepper->mech.m; /* of a controlled step, a row of inputs at most begins */
-    const size_t holds = controlled ? run->stride : quotient_up(run->stride, dal__hold(run));
+    const size_t input_rows =
+        controlled ? run->stride : quotient_up(run->stride, dal__input_steps(run));
     const size_t events = run->events ? run->events->count : 0;
     const size_t guards = run->events ? dal_events_saved(run->events) : 0;
     dal__head head = {
         .has_rows = run->x || run->inputs || !run->times, .has_times = run->times != NULL,
         .n = stepper->mech.n, .m = m, .inputs = inputs_of(run), .stride = run->stride,
-        .hold = dal__hold(run), .holds = holds, .events = events,
-        .held = controlled && run->inputs ? run->held : 0.0};
+        .input_steps = dal__input_steps(run), .input_rows = input_rows, .events = events,
+        .input_duration = controlled && run->inputs ? run->input_duration : 0.0};
     head.snapshot = dal_stepper_saved(stepper) + guards + DOUBTS + OF_ROW + m
-                  + dal__times(holds, head.inputs);
+                  + dal__times(input_rows, head.inputs);
     return head;
 }
 
 /* The rows of inputs whose steps begin since the last row of the run: *count from *first on. */
 static void pending_inputs(const dal_run *run, size_t steps, size_t *first, size_t *count)
 {
-    const size_t hold = dal__hold(run), row = run->stored > 0 ? run->stored - 1 : 0;
+    const size_t input_steps = dal__input_steps(run), row = run->stored > 0 ? run->stored - 1 : 0;
     if (dal__run_varies(run)) {
-        *first = run->row_inputs;
-        *count = run->handed - run->row_inputs;
+        *first = run->rows_set_before;
+        *count = run->rows_set - run->rows_set_before;
         return;
     }
-    *first = quotient_up(row * run->stride, hold);
-    *count = quotient_up(steps, hold) - *first;
+    *first = quotient_up(row * run->stride, input_steps);
+    *count = quotient_up(steps, input_steps) - *first;
 }
 
 static void take_inputs(const dal_run *run, size_t steps, double *to)
@@ -139,7 +140,7 @@ static int save(const dal_run *run)
     }
     to += DOUBTS;
     const double of_row[OF_ROW] = {run->t_begin, run->row_time, (double)run->row_step,
-                                   (double)run->handed, (double)run->row_inputs};
+                                   (double)run->rows_set, (double)run->rows_set_before};
     memcpy(to, of_row, sizeof of_row);
     memcpy(to + OF_ROW, run->stepper->motion.impulse, m * sizeof *to);
     if (!run->ended) take_inputs(run, run->done, to + OF_ROW + m);
@@ -284,7 +285,8 @@ void dal_journal_describe(const dal_journal *journal, dal_journal_info *info)
     const dal__head *const head = &journal->head;
     *info = (dal_journal_info){
         .n = (size_t)head->n, .m = (size_t)head->m, .inputs = (size_t)head->inputs,
-        .stride = (size_t)head->stride, .hold = (size_t)head->hold, .holds = (size_t)head->holds,
+        .stride = (size_t)head->stride, .input_steps = (size_t)head->input_steps,
+        .input_rows = (size_t)head->input_rows,
         .events = (size_t)head->events, .has_rows = (int)head->has_rows,
         .has_times = (int)head->has_times, .t0 = head->t0, .h = head->h, .scheme = head->scheme,
         .description = journal->description,
@@ -344,7 +346,8 @@ static int compare(dal_journal *self, const dal_run *run, dal_error *error)
     const dal__head *const here = &self->head, run_head = head_of(run), *const there = &run_head;
     const struct { const char *name; uint64_t here, there; } numbers[] = {
         {"n", here->n, there->n}, {"m", here->m, there->m}, {"stride", here->stride, there->stride},
-        {"hold", here->hold, there->hold}, {"the number of inputs", here->inputs, there->inputs},
+        {"the number of steps of a row of inputs", here->input_steps, there->input_steps},
+        {"the number of inputs", here->inputs, there->inputs},
         {"the number of events", here->events, there->events},
         {"the storage of rows (0 or 1)", here->has_rows, there->has_rows},
         {"the use of times (0 or 1)", here->has_times, there->has_times},
@@ -355,9 +358,9 @@ static int compare(dal_journal *self, const dal_run *run, dal_error *error)
                              "run", self->path, numbers[i].name,
                              (unsigned long long)numbers[i].here,
                              (unsigned long long)numbers[i].there);
-    if (here->held != there->held)
-        return dal__fail(error, DAL_EINVAL, "%s: held is %.17g in the journal, but %.17g in the "
-                         "run", self->path, here->held, there->held);
+    if (here->input_duration != there->input_duration)
+        return dal__fail(error, DAL_EINVAL, "%s: a row of inputs applies for a time of %.17g in "
+                         "the journal, but of %.17g in the run", self->path, here->input_duration, there->input_duration);
     size_t steps;
     const int status = last_row(self, &steps, error);
     if (status) return status;
@@ -387,8 +390,8 @@ static int give_inputs(const dal_journal *self, const dal_run *run, size_t first
 /* Up to a time of a run with error-controlled steps, the rows of inputs that were handed over. */
 static void count_inputs(dal_run *run, double t)
 {
-    const double ahead = run->held > 0.0 ? 1.0 : -1.0;
-    while (ahead * (t - dal__run_begin_of_inputs(run, run->handed)) > 0.0) run->handed++;
+    const double ahead = run->input_duration > 0.0 ? 1.0 : -1.0;
+    while (ahead * (t - dal__run_begin_of_inputs(run, run->rows_set)) > 0.0) run->rows_set++;
 }
 
 static int give_row(const dal_journal *self, dal_run *run, const dal_record *r, dal_error *error)
@@ -414,7 +417,7 @@ static int give_row(const dal_journal *self, dal_run *run, const dal_record *r, 
     pending_inputs(run, steps, &first, &count);
     const int status = give_inputs(self, run, first, count, r->input, error);
     run->stored++;
-    run->row_inputs = run->handed;
+    run->rows_set_before = run->rows_set;
     return status;
 }
 
@@ -474,8 +477,8 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
     run->t_begin = from[0];
     run->row_time = from[1];
     run->row_step = (size_t)from[2];
-    run->handed = (size_t)from[3];
-    run->row_inputs = (size_t)from[4];
+    run->rows_set = (size_t)from[3];
+    run->rows_set_before = (size_t)from[4];
     from += OF_ROW;
     memcpy(stepper->motion.impulse, from, m * sizeof *from);
     run->done = (size_t)self->mark.done;
@@ -512,7 +515,7 @@ int dal_journal_resume(dal_journal *journal, dal_run *run, dal_error *error)
         status = journal->error.status;
     }
     if (status) {
-        run->done = run->stored = run->timed = run->handed = run->row_inputs = 0;
+        run->done = run->stored = run->timed = run->rows_set = run->rows_set_before = 0;
         run->ended = 0;
         return status;
     }

@@ -20,10 +20,10 @@ typedef struct dal__head {
     uint32_t checksum;       /* of head and description, with 0 here */
     uint32_t has_rows, has_times;
     uint32_t reserved;
-    uint64_t n, m, inputs, stride, hold, holds, events;
+    uint64_t n, m, inputs, stride, input_steps, input_rows, events;
     uint64_t description_size;
     uint64_t snapshot;       /* doubles of a snapshot */
-    double t0, h, held, made; /* made: when, so that no two are alike */
+    double t0, h, input_duration, made; /* made: when, so that no two are alike */
     char scheme[40];
     unsigned char fingerprint[32];
 } dal__head;

@@ -123,7 +123,7 @@ int dal__journal_allocate(dal_journal **journal, const char *path, const dal__he
 {
     dal_journal shape = {.head = *head, .file = -1}, *self;
     const size_t described = (size_t)head->description_size, named = strlen(path) + 1;
-    const size_t input = dal__times((size_t)head->holds, (size_t)head->inputs);
+    const size_t input = dal__times((size_t)head->input_rows, (size_t)head->inputs);
     const size_t numbers = plus(plus(1, dal__times(2, (size_t)head->n)),
                                 plus((size_t)head->m, input));
     shape.size = plus(sizeof(dal__tag), doubles(numbers));
@@ -304,7 +304,7 @@ static int read_head(int file, const char *path, dal__head *head, size_t *length
                          "version %d, or the header is damaged", path, (unsigned)head->version,
                          VERSION);
     if (head->description_size > *length || head->n > *length || head->m > *length
-        || head->snapshot > *length || head->holds > *length || head->inputs > *length)
+        || head->snapshot > *length || head->input_rows > *length || head->inputs > *length)
         return dal__fail(error, DAL_EINVAL, "%s: the header is damaged", path);
     return DAL_SUCCESS;
 }

@@ -38,7 +38,7 @@ static void measure(dal__worker *self, size_t row, size_t step, double t, const 
     const dal_members *const members = self->members;
     const dal_run *const run = &self->run;
     const size_t m = self->system->def.m, width = self->system->def.inputs;
-    const size_t at = self->member * self->rows + row, hold = dal__hold(run);
+    const size_t at = self->member * self->rows + row, input_steps = dal__input_steps(run);
     double *const energy = members->energy, *const residual = members->residual;
     double *const multipliers = members->multipliers;
     double *u = run->inputs;
@@ -46,8 +46,8 @@ static void measure(dal__worker *self, size_t row, size_t step, double t, const 
     /* of constraints that depend on inputs those that the state lies in the D of */
     const bool driven = self->system->def.driven;
     const bool before = step == run->steps || (driven && !run->ended);
-    if (u) u += (before && step > 0 ? step - 1 : step) / hold * width;
-    if (members->control && multipliers && !before && !driven && step % hold == 0)
+    if (u) u += (before && step > 0 ? step - 1 : step) / input_steps * width;
+    if (members->control && multipliers && !before && !driven && step % input_steps == 0)
         dal_law_control(step, t, x, u, &self->control); /* as the run will at once */
     const double shift = self->stepper->shift * self->stepper->motion.h;
     if (energy) dal__trajectory(self->mech, t, 0.0, 0, shift, 1, x, u, energy + at, NULL, NULL,
@@ -165,14 +165,14 @@ static void prepare_run(dal__worker *self)
     dal_run *const run = &self->run;
     *run = (dal_run){.stepper = self->stepper, .steps = steps, .events = self->events,
                      .stride = stride > 0 ? stride : steps > 0 ? steps : 1,
-                     .hold = members->hold, .unchecked = 1,
+                     .input_steps = members->input_steps, .unchecked = 1,
                      .watch = self->watch.function ? relay : NULL, .watch_ctx = self};
     if (members->inputs) run->inputs = (double *)ROW_OF(members, inputs, k); /* which are read */
     if (members->control) {
         run->inputs = self->inputs;
         run->control = dal_law_control;
         run->control_ctx = &self->control;
-        run->handed = self->system->def.driven != NULL; /* see first_inputs */
+        run->rows_set = self->system->def.driven != NULL; /* see first_inputs */
     }
     if (members->reactions) run->reactions = members->reactions + k * self->reactions * m;
     if (stride > 0 && members->states) run->x = members->states + k * self->rows * 2 * n;

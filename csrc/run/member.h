@@ -23,7 +23,7 @@ typedef struct dal__worker {
     dal_events *events;       /* or NULL */
     dal_law *laws;            /* [events] of their resets */
     dal_law control;
-    double *inputs;           /* [holds*inputs] that the control has written */
+    double *inputs;           /* [input_rows*inputs] that the control has written */
     dal__lanes *lanes;        /* or NULL, and */
     size_t width;             /* how many there are */
     dal__lane *lane;          /* [width] */

@@ -20,7 +20,7 @@ int dal__heed(const dal_run *run, const char *name, int returned)
 /* A row of roundoff at the end of the run is none. */
 double dal__run_begin_of_inputs(const dal_run *run, size_t k)
 {
-    const double t = run->t_begin + (double)k * run->held;
+    const double t = run->t_begin + (double)k * run->input_duration;
     return fabs(t - run->until) <= 8.0 * DAL_ROUNDOFF * fabs(run->until) ? run->until : t;
 }
 
@@ -33,9 +33,9 @@ static int check_varied(const dal_run *run)
     if (!isfinite(run->until) || ahead * (run->until - t) < 0.0)
         return dal__fail(error, DAL_EINVAL, "until = %g: expected a time from t = %g on, in the "
                          "direction of the steps", run->until, t);
-    if (run->inputs && !(ahead * run->held > 0.0 && isfinite(run->held)))
-        return dal__fail(error, DAL_EINVAL, "held = %g: expected the time for which a row of "
-                         "inputs applies, with the sign of the steps", run->held);
+    if (run->inputs && !(ahead * run->input_duration > 0.0 && isfinite(run->input_duration)))
+        return dal__fail(error, DAL_EINVAL, "input_duration = %g: expected the time for which a "
+                         "row of inputs applies, with the sign of the steps", run->input_duration);
     return DAL_SUCCESS;
 }
 

@@ -43,7 +43,7 @@ static int store(dal_run *run)
     if (run->stored == 0) run->t_begin = t;
     run->row_time = t;
     run->row_step = run->done;
-    run->row_inputs = run->stored > 0 ? run->handed : 0;
+    run->rows_set_before = run->stored > 0 ? run->rows_set : 0;
     run->stored++;
     if (!run->observer) return DAL_SUCCESS;
     return dal__heed(run, "observer", run->observer(motion->steps, t, motion->x,
@@ -53,10 +53,10 @@ static int store(dal_run *run)
 /* Whether the inputs change here; *row <- to which. */
 static bool inputs_change(const dal_run *run, size_t *row)
 {
-    const size_t hold = dal__hold(run);
+    const size_t input_steps = dal__input_steps(run);
     if (!run->inputs) return false;
-    *row = dal__run_varies(run) ? run->handed : run->done / hold;
-    if (!dal__run_varies(run)) return run->done % hold == 0;
+    *row = dal__run_varies(run) ? run->rows_set : run->done / input_steps;
+    if (!dal__run_varies(run)) return run->done % input_steps == 0;
     const double ahead = dal__stepper_ahead(run->stepper);
     return ahead * (dal_stepper_time(run->stepper) - dal__run_begin_of_inputs(run, *row)) >= 0.0;
 }
@@ -71,14 +71,14 @@ static int hand_inputs(dal_run *run)
     if (!inputs_change(run, &row)) return DAL_SUCCESS;
     double *const u = run->inputs + row * width;
     int status = DAL_SUCCESS;
-    if (run->control && run->handed <= row) {
+    if (run->control && run->rows_set <= row) {
         dal__forget(width, u);
         status = dal__heed(run, "control", run->control(motion->steps, dal_stepper_time(stepper),
                                                         motion->x, u, run->control_ctx));
     }
     if (status) return status;
     status = dal_stepper_input(stepper, u);
-    if (!status) run->handed = row + 1; /* else it is handed over again */
+    if (!status) run->rows_set = row + 1; /* else it is set again */
     return dal__fail_because(&stepper->error, status, &stepper->error,
                              "the inputs of step %zu (t = %g): ", motion->steps + 1,
                              dal_stepper_time(stepper));
@@ -87,7 +87,7 @@ static int hand_inputs(dal_run *run)
 /* Where the next step is to end at the latest, if its size varies. */
 static int limit_steps(const dal_run *run)
 {
-    const double change = run->inputs ? dal__run_begin_of_inputs(run, run->handed) : run->until;
+    const double change = run->inputs ? dal__run_begin_of_inputs(run, run->rows_set) : run->until;
     const bool sooner = dal__stepper_ahead(run->stepper) * (change - run->until) < 0.0;
     return dal_stepper_until(run->stepper, sooner ? change : run->until);
 }
@@ -97,13 +97,13 @@ static int limit_steps(const dal_run *run)
 static size_t steps_of_inputs(const dal_run *run, size_t most)
 {
     if (dal__run_varies(run)) return most;
-    const size_t hold = dal__hold(run), row = run->done / hold;
+    const size_t input_steps = dal__input_steps(run), row = run->done / input_steps;
     const size_t width = run->inputs ? run->stepper->motion.system->def.inputs : 0;
-    size_t steps = hold - run->done % hold;
+    size_t steps = input_steps - run->done % input_steps;
     if (!run->inputs) return most;
     for (const double *u = run->inputs + row * width; !run->control && steps < most; u += width) {
         if (memcmp(u, u + width, width * sizeof *u) != 0) break;
-        steps += hold;
+        steps += input_steps;
     }
     return steps < most ? steps : most;
 }
@@ -166,7 +166,7 @@ int dal_run_go(dal_run *run, size_t budget)
     else dal__guard_begin(run);
     if (run->ended) return DAL_STOPPED;
     if (run->checks > 0) return DAL_SUCCESS;
-    if (run->control && run->done == 0 && run->handed == 1)
+    if (run->control && run->done == 0 && run->rows_set == 1)
         dal__copy(motion->system->def.inputs, motion->input, run->inputs);
     status = dal__journal_begin(run);
     if (!status && is_due(run)) status = store(run);

@@ -26,8 +26,11 @@ bool dal__run_is_over(const dal_run *run);
 /* The time where row k of inputs begins, of steps whose size varies. */
 double dal__run_begin_of_inputs(const dal_run *run, size_t k);
 
-/* For how many steps a row of inputs is. */
-static inline size_t dal__hold(const dal_run *run) { return run->hold > 0 ? run->hold : 1; }
+/* The number of steps for which a row of inputs applies. */
+static inline size_t dal__input_steps(const dal_run *run)
+{
+    return run->input_steps > 0 ? run->input_steps : 1;
+}
 
 /* DAL_EINVAL for what is wrong with a run. */
 int dal__run_check(const dal_run *run);

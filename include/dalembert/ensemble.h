@@ -31,8 +31,8 @@ typedef struct dal_members {
     const size_t *steps;        /* [1]; if stride is not 0, multiples of it, the same for all
                                    members */
     size_t steps_next;
-    const double *inputs;       /* [ceil(steps/hold)*inputs] as in a dal_run; NULL: 0 */
-    size_t inputs_next, hold;
+    const double *inputs;       /* [ceil(steps/input_steps)*inputs] as in a dal_run; NULL: 0 */
+    size_t inputs_next, input_steps;
     const dal_law *control;     /* or NULL: the law of the inputs, evaluated when they change.  If
                                    its ctx is NULL, it gets the ctx of the member's system */
     double t0;

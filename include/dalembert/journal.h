@@ -49,7 +49,8 @@ typedef enum dal_record_kind {
 } dal_record_kind;
 
 /* A record has `size` bytes in the file: a checksum and the kind, 4 bytes each; number and step, 8
- * bytes each; t; x[2n]; reaction[m]; input[holds*inputs].  Parts that a kind does not have are 0.
+ * bytes each; t; x[2n]; reaction[m]; input[input_rows*inputs].  Parts that a kind does not have
+ * are 0.
  */
 typedef struct dal_record {
     int kind;
@@ -61,8 +62,8 @@ typedef struct dal_record {
 /* The data of a journal.  Pointers are borrowed. */
 typedef struct dal_journal_info {
     size_t n, m, inputs;       /* inputs: 0 if the run has none */
-    size_t stride, hold;
-    size_t holds;              /* the largest number of rows of inputs that begin in an interval of
+    size_t stride, input_steps;
+    size_t input_rows;         /* the largest number of rows of inputs that begin in an interval of
                                   the run; for variable steps the number of its steps */
     size_t events;             /* number of events in the list */
     int has_rows, has_times;   /* whether the run stores rows (also for their inputs), and states at

@@ -33,9 +33,10 @@ typedef struct dal_run {
     double *reactions;      /* [(steps/stride)*m] or NULL: the mean reaction over each interval,
                                including the impulses of jumps; it belongs to the middle of the
                                interval.  NaN for a scheme without multipliers */
-    double *inputs;         /* [ceil(steps/hold)*inputs]: row k applies to the steps k hold, ...,
-                               (k+1) hold - 1 of the run; NULL: the inputs of the stepper */
-    size_t hold;            /* 0 is 1 */
+    double *inputs;         /* [ceil(steps/input_steps)*inputs]: row k applies to the steps from
+                               k input_steps to (k+1) input_steps - 1 of the run; NULL: the inputs
+                               of the stepper */
+    size_t input_steps;     /* 0 is 1 */
     dal_control_fn control; /* or NULL: writes each row of inputs when its steps begin */
     void *control_ctx;
     dal_observer_fn observer; /* or NULL */
@@ -61,15 +62,15 @@ typedef struct dal_run {
     double until;           /* end time for variable steps; the run ends there, or after `steps`.
                                The array x needs room for one more row, because the last state is
                                always stored */
-    double held;            /* for variable steps, instead of hold: row k of inputs applies from
-                               t_begin + k held to t_begin + (k+1) held */
+    double input_duration;  /* for variable steps, instead of input_steps: row k of inputs applies
+                               from t_begin + k input_duration to the beginning of the next row */
     double *row_times;      /* for variable steps: the times of the rows of x; or NULL */
     double t_begin, row_time; /* set by the run for variable steps: its initial time; time of the
                                  last row */
     size_t row_step;          /* step of the last row */
-    size_t handed, row_inputs; /* rows of inputs passed to the stepper so far, and before the last
-                                  row.  If the stepper already has the first row, set handed to 1,
-                                  and control is not called for it */
+    size_t rows_set, rows_set_before; /* rows of inputs passed to the stepper so far, and before the
+                                         last row of x.  If the stepper already has the first row,
+                                         set rows_set to 1, and control is not called for it */
     size_t done;            /* steps taken */
     size_t stored;          /* rows of x that are valid */
     size_t timed;           /* rows of at that are valid */

@@ -96,7 +96,7 @@ static double error_of(const dal_system *system, const char *scheme, double T, s
     dal_stepper *const stepper = start_at(system, scheme, 0.0, T / (double)hold, start);
     memcpy(inputs, table, sizeof inputs);
     dal_run run = {.stepper = stepper, .steps = HOLDS * hold, .stride = HOLDS * hold, .x = row,
-                   .inputs = inputs, .hold = hold};
+                   .inputs = inputs, .input_steps = hold};
     need(dal_run_go(&run, SIZE_MAX), scheme, dal_stepper_error(stepper)->text);
     CHECK(memcmp(inputs, table, sizeof inputs) == 0);
     expect(T, x, &work);
@@ -167,7 +167,7 @@ static void check_ways(const dal_system *system, const char *scheme, size_t stri
         dal_stepper *const stepper = start_at(system, scheme, 0.0, 0.05, start);
         dal_run run = {.stepper = stepper, .steps = STEPS, .stride = stride, .x = rows[way],
                        .reactions = reactions[way], .inputs = way ? written : inputs,
-                       .hold = hold == 1 ? 0 : hold, .control = way ? control : NULL,
+                       .input_steps = hold == 1 ? 0 : hold, .control = way ? control : NULL,
                        .control_ctx = &self};
         self.calls = 0;
         while (run.done < STEPS) CHECK(dal_run_go(&run, budgets[way]) == DAL_SUCCESS);
@@ -482,7 +482,7 @@ static void test_driven(void)
 
     double inputs[3], rows[16], reactions[3];
     dal_run run = {.stepper = stepper, .steps = 3, .stride = 1, .x = rows, .inputs = inputs,
-                   .reactions = reactions, .control = climb, .handed = 1};
+                   .reactions = reactions, .control = climb, .rows_set = 1};
     CHECK(dal_stepper_start(stepper, 0.0, 0.5, (double[]){0.0, 0.0, 2.0, 1.0}, DAL_CHECK,
                             DAL_INITIAL_NONE) == DAL_SUCCESS);
     CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);

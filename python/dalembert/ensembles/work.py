@@ -229,7 +229,7 @@ def _members(
         setattr(members, f"{name}_next", 0 if len(x) == 1 and count > 1 else size // len(x))
     members.steps = ffi.from_buffer("size_t[]", steps)
     members.steps_next = int(len(steps) > 1)
-    members.count, members.t0, members.hold = count, setting.t0, setting.hold or 1
+    members.count, members.t0, members.input_steps = count, setting.t0, setting.hold or 1
     members.stride, members.lanes = setting.stride, int(setting.lanes)
     members.consistency = CONSISTENCY[setting.consistent]
     members.initial = INITIAL[setting.initial] if setting.initial else lib.DAL_INITIAL_NONE

@@ -267,7 +267,7 @@ class Journal:
         fields = [
             ("checksum", "u4"), ("kind", "u4"), ("number", "u8"), ("step", "u8"), ("t", "f8"),
             ("x", "f8", (2 * info.n,)), ("reaction", "f8", (info.m,)),
-            ("input", "f8", (info.holds, info.inputs)),
+            ("input", "f8", (info.input_rows, info.inputs)),
         ]  # fmt: skip
         kind, count = np.dtype(fields), int(info.records)
         if count == 0:
@@ -329,7 +329,7 @@ class Journal:
             row = row[row < len(rows)]
             place = np.arange(len(row)) - np.searchsorted(row, row)
             return np.array(rows["input"][row, place])
-        hold, stride = int(info.hold), int(info.stride)
+        hold, stride = int(info.input_steps), int(info.stride)
         first = np.arange(-(-done // hold)) * hold  # step of each
         row = first // stride + 1
         there = row < len(rows)

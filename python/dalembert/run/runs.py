@@ -131,9 +131,9 @@ class Run:
         self.run = run = ffi.new("dal_run *")
         run.stepper, run.steps, run.stride = stepper, steps.count, stride
         if self.varies:
-            run.until, run.held = steps.t_end, steps.direction * hold
+            run.until, run.input_duration = steps.t_end, steps.direction * hold
         else:
-            run.hold = int(hold)
+            run.input_steps = int(hold)
         self.watching = ffi.new_handle(_within(show, steps))
         run.watch, run.watch_ctx = lib.dal_py_watch, self.watching
         run.unchecked = not check_h
@@ -143,7 +143,7 @@ class Run:
         if self.inputs is not None:
             run.inputs = core.pointer(self.inputs)
         if first is not None and is_control(inputs):  # which was asked for them
-            run.handed = 1
+            run.rows_set = 1
         if observer is not None or callable(inputs):
             self._call_back(observer, inputs)
         self.law = inputs if isinstance(inputs, Law) else None
@@ -314,7 +314,7 @@ class Run:
         if self.inputs is None:
             inputs = np.empty((0, len(self.system.inputs)))
         elif self.varies:
-            inputs = self.inputs[: run.handed]
+            inputs = self.inputs[: run.rows_set]
         else:
             inputs = self.inputs[: -(-int(run.done + run.ended) // int(self.hold))]
         return Solution._made(

@@ -425,7 +425,8 @@ static void test_inputs(void)
         memcpy(x[k], (double[4]){0.0, 0.0, 1.0, k == 2 ? 1.5 : 0.1}, sizeof x[k]);
     }
     const dal_members members = {.count = COUNT, .x = x[0], .x_next = 4, .h = &h, .steps = &steps,
-                                 .inputs = u[0], .inputs_next = PUSHES, .hold = 2, .stride = 1,
+                                 .inputs = u[0], .inputs_next = PUSHES, .input_steps = 2,
+                                 .stride = 1,
                                  .states = states[0], .energy = energy[0], .status = status,
                                  .errors = errors};
     CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, COUNT, NULL, NULL, NULL));
@@ -433,7 +434,7 @@ static void test_inputs(void)
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         double rows[4 * ROWS];
         need(dal_stepper_start(stepper, 0.0, h, x[k], DAL_CHECK, DAL_INITIAL_NONE), "start", "");
-        dal_run run = {.stepper = stepper, .steps = steps, .stride = 1, .hold = 2, .x = rows,
+        dal_run run = {.stepper = stepper, .steps = steps, .stride = 1, .input_steps = 2, .x = rows,
                        .inputs = u[k]};
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
         const size_t good = k == 2 ? 3 : ROWS; /* at t = 3/4 it is beyond the wall, and goes on */
@@ -478,7 +479,7 @@ static void test_control(void)
     dal_system *system;
     system = new_system(&def);
     const dal_members members = {.count = COUNT, .x = x, .h = &h, .steps = steps, .steps_next = 1,
-                                 .control = &law, .hold = 2, .states = states[0]};
+                                 .control = &law, .input_steps = 2, .states = states[0]};
     CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, COUNT, NULL, NULL, NULL));
     for (size_t k = 0; k < COUNT; k++) {
         const double held = pow(1.0 - 2.0 * c * h, (double)(steps[k] / 2));

@@ -527,7 +527,7 @@ static void test_inputs(void)
     dal_stepper *const stepper = start_at(system, "midpoint", 0.0, 0.25, x0);
     dal_events *const events = events_of(stepper, "midpoint", list, 1);
     seen s = {.n = 2};
-    dal_run run = {.stepper = stepper, .steps = 8, .stride = 1, .inputs = inputs, .hold = 4,
+    dal_run run = {.stepper = stepper, .steps = 8, .stride = 1, .inputs = inputs, .input_steps = 4,
                    .events = events, .happened = happened, .happened_ctx = &s};
     CHECK(dal_run_go(&run, SIZE_MAX) == 0 && s.count == 2);
     CHECK_NEAR(s.t[0], 1.5 - part, 1e-14); /* 1/2 + (t - 1) - (t - 1)^2 = 0.7 */

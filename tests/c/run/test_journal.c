@@ -220,7 +220,7 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
     }
     o->run = (dal_run){.stepper = o->stepper, .steps = p->steps, .stride = p->stride,
                        .unchecked = 1, /* a restart discards the estimate */
-                       .hold = p->hold, .x = p->timed ? NULL : o->x,
+                       .input_steps = p->hold, .x = p->timed ? NULL : o->x,
                        .reactions = p->timed ? NULL : o->reactions,
                        .inputs = p->table || p->controlled ? o->inputs : NULL,
                        .control = p->controlled ? control : NULL, .events = o->events,
@@ -229,7 +229,7 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
                        .at = p->timed ? o->at : NULL};
     if (varies) {
         o->run.until = 3.5;
-        o->run.held = 0.05 * (double)p->hold;
+        o->run.input_duration = 0.05 * (double)p->hold;
         o->run.row_times = p->timed ? NULL : o->row_times;
     }
     if (p->timed && varies) o->run.time_count = 60;
@@ -706,7 +706,7 @@ static void test_other_runs(void)
     tear_down(&o);
     const struct { int what; const char *text; int status; } wrong[] = {
         {0, "stride is 4 in the journal, but 2 in the run", DAL_EINVAL},
-        {1, "hold is 3 in the journal, but 5 in the run", DAL_EINVAL},
+        {1, "the number of steps of a row of inputs is 3 in the journal, but 5 in the run", DAL_EINVAL},
         {2, "the number of inputs is 2 in the journal, but 0 in the run", DAL_EINVAL},
         {3, "another system or scheme", DAL_EINVAL},
         {4, "another system or scheme", DAL_EINVAL},

@@ -451,13 +451,13 @@ static void test_inputs(void)
         size_t calls = 0;
         begin(stepper, system, 0.5, (double)INFINITY);
         dal_run run = {.stepper = stepper, .steps = MOST, .stride = 1, .until = 1.85, .x = rows,
-                       .row_times = times, .inputs = u, .held = 0.3};
+                       .row_times = times, .inputs = u, .input_duration = 0.3};
         if (controlled_by) {
             run.control = count_control;
             run.control_ctx = &calls;
         }
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
-        CHECK(run.handed == 5 && (!controlled_by || calls == 5));
+        CHECK(run.rows_set == 5 && (!controlled_by || calls == 5));
         for (int k = 0; k < 5; k++) {
             size_t at = 0;
             while (at < run.stored && times[at] != 0.5 + 0.3 * k) at++;
@@ -476,13 +476,13 @@ static void test_inputs(void)
         size_t calls = 0;
         begin(stepper, system, 0.0, (double)INFINITY);
         dal_run run = {.stepper = stepper, .steps = MOST, .stride = 1, .until = 0.9, .inputs = u,
-                       .held = 0.3};
+                       .input_duration = 0.3};
         if (stops) {
             run.control = stop_once;
             run.control_ctx = &calls;
-            CHECK(dal_run_go(&run, SIZE_MAX) == DAL_STOPPED && run.handed == 1);
+            CHECK(dal_run_go(&run, SIZE_MAX) == DAL_STOPPED && run.rows_set == 1);
         }
-        CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS && run.handed == 3);
+        CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS && run.rows_set == 3);
         CHECK_NEAR(dal_stepper_state(stepper)[2], 0.3 * (1.0 + 2.0 + 3.0), 1e-13);
         release(stepper);
     }
@@ -492,9 +492,9 @@ static void test_inputs(void)
         double u = 1.0;
         begin(stepper, system, 0.0, (double)INFINITY);
         dal_run run = {.stepper = stepper, .steps = MOST, .stride = 1, .until = 0.9, .inputs = &u,
-                       .held = refused[k]};
+                       .input_duration = refused[k]};
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_EINVAL);
-        CHECK(strstr(dal_stepper_error(stepper)->text, "held = "));
+        CHECK(strstr(dal_stepper_error(stepper)->text, "input_duration = "));
         release(stepper);
     }
 }
