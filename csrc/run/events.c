@@ -99,7 +99,7 @@ void dal__events_forget(dal_events *events)
 {
     for (size_t i = 0; i < events->count; i++) events->guards[i] = (guard){0};
     events->known = events->valued = false;
-    events->doubts = events->timed = events->step = 0;
+    events->doubts = events->times_done = events->step = 0;
 }
 
 size_t dal_events_doubts(const dal_events *events, size_t *event, double *t, double *g)
@@ -194,15 +194,15 @@ static void move(const dal_events *e, double shift, const double *x, double *y)
 static int make_times(dal_events *e, dal_run *run, double theta)
 {
     const double end = dal__time_at(e, theta), ahead = e->h > 0.0 ? 1.0 : -1.0;
-    for (; e->timed < run->time_count; e->timed++) {
-        const double t = run->times[e->timed];
+    for (; e->times_done < run->time_count; e->times_done++) {
+        const double t = run->times[e->times_done];
         const double near = theta == 1.0 ? 4.0 * DAL_ROUNDOFF * fmax(fabs(t), fabs(end)) : 0.0;
         if (ahead * (t - end) > near) break;
         const double at = ahead * (end - t) <= near ? theta : fmax((t - e->t) / e->h, e->from);
         const int status = dal__reach(e, at, e->x);
         if (status) return status;
         e->unscaled += e->lost;
-        move(e, e->shift, e->x, run->at + e->timed * 2 * e->n);
+        move(e, e->shift, e->x, run->x_at_times + e->times_done * 2 * e->n);
     }
     return DAL_SUCCESS;
 }
@@ -411,7 +411,7 @@ static int prepare(dal_events *e, dal_run *run)
     e->shift = run->stepper->shift * e->h;
     e->energy = run->stepper->scaling.energy;
     e->from = 0.0;
-    e->timed = run->timed;
+    e->times_done = run->times_done;
     e->happenings = e->unscaled = 0;
     e->landed = false;
     memset(e->parts, 0, e->m * sizeof *e->parts);
@@ -486,7 +486,7 @@ static void conclude(dal_events *e, dal_run *run, double *end, double *reaction)
         memcpy(e->last, run->stepper->motion.x, 2 * e->n * sizeof *e->last);
         e->step++;
     }
-    run->timed = e->timed;
+    run->times_done = e->times_done;
 }
 
 int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made)
@@ -527,8 +527,8 @@ int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made)
 void dal__events_no_steps(dal_run *run)
 {
     const size_t N = 2 * run->stepper->mech.n;
-    for (; run->timed < run->time_count; run->timed++)
-        memcpy(run->at + run->timed * N, run->stepper->motion.x, N * sizeof *run->at);
+    for (; run->times_done < run->time_count; run->times_done++)
+        dal__copy(N, run->stepper->motion.x, run->x_at_times + run->times_done * N);
 }
 
 int dal__events_check(const dal_run *run)
@@ -543,8 +543,8 @@ int dal__events_check(const dal_run *run)
         return dal__fail(error, DAL_EINVAL, "events belongs to another stepper: expected the "
                          "stepper of the run");
     if (run->time_count == 0 || run->done > 0) return DAL_SUCCESS;
-    if (!run->times || !run->at)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", run->times ? "at" : "times");
+    if (!run->times || !run->x_at_times)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", run->times ? "x_at_times" : "times");
     const double begin = dal_stepper_time(run->stepper), ahead = motion->h > 0.0 ? 1.0 : -1.0;
     const double end = dal__run_varies(run)
         ? run->until : motion->t0 + (double)(motion->steps + run->steps) * motion->h;

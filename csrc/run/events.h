@@ -55,7 +55,7 @@ struct dal_events {
     happening happened[DAL_MOST_EVENTS];
     size_t happenings;          /* in this step */
     size_t step;                /* steps before it */
-    size_t timed;               /* times of the run that are done */
+    size_t times_done;          /* of the run */
     bool landed;                /* a reset has led the step elsewhere */
     double *last;               /* [2n] the stepper's state there */
     bool known, valued;         /* sides are those of last; and so are values */

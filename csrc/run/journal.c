@@ -115,9 +115,9 @@ int dal__journal_times(const dal_run *run, size_t before)
 {
     const size_t N = 2 * run->stepper->mech.n;
     int status = DAL_SUCCESS;
-    for (size_t k = before; run->journal && !status && k < run->timed; k++)
+    for (size_t k = before; run->journal && !status && k < run->times_done; k++)
         status = write_state(run, DAL_RECORD_TIME, k, run->stepper->motion.steps,
-                             run->times[k], run->at + k * N);
+                             run->times[k], run->x_at_times + k * N);
     return status;
 }
 
@@ -147,7 +147,7 @@ static int save(const dal_run *run)
     self->mark.steps = run->steps;
     self->mark.done = run->done;
     self->mark.stored = run->stored;
-    self->mark.timed = run->timed;
+    self->mark.times_done = run->times_done;
     return DAL_SUCCESS;
 }
 
@@ -360,7 +360,8 @@ static int compare(dal_journal *self, const dal_run *run, dal_error *error)
                              (unsigned long long)numbers[i].there);
     if (here->input_duration != there->input_duration)
         return dal__fail(error, DAL_EINVAL, "%s: a row of inputs applies for a time of %.17g in "
-                         "the journal, but of %.17g in the run", self->path, here->input_duration, there->input_duration);
+                         "the journal, but of %.17g in the run", self->path, here->input_duration,
+                         there->input_duration);
     size_t steps;
     const int status = last_row(self, &steps, error);
     if (status) return status;
@@ -439,7 +440,7 @@ static int give(dal_journal *self, dal_run *run, dal_error *error)
             if (r.number >= run->time_count || r.t != run->times[r.number])
                 return dal__fail(error, DAL_EINVAL, "%s: times[%zu] is %.17g in the journal, but "
                                  "different in the run", self->path, r.number, r.t);
-            memcpy(run->at + r.number * N, r.x, N * sizeof *r.x);
+            memcpy(run->x_at_times + r.number * N, r.x, N * sizeof *r.x);
             break;
         case DAL_RECORD_RESET: memcpy(event, r.x, N * sizeof *event); break;
         case DAL_RECORD_EVENT:
@@ -483,7 +484,7 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
     memcpy(stepper->motion.impulse, from, m * sizeof *from);
     run->done = (size_t)self->mark.done;
     run->stored = (size_t)self->mark.stored;
-    run->timed = (size_t)self->mark.timed;
+    run->times_done = (size_t)self->mark.times_done;
     status = dal__run_check(run);
     if (status && error) *error = stepper->error;
     if (status) return status;
@@ -515,7 +516,7 @@ int dal_journal_resume(dal_journal *journal, dal_run *run, dal_error *error)
         status = journal->error.status;
     }
     if (status) {
-        run->done = run->stored = run->timed = run->rows_set = run->rows_set_before = 0;
+        run->done = run->stored = run->times_done = run->rows_set = run->rows_set_before = 0;
         run->ended = 0;
         return status;
     }

@@ -31,7 +31,7 @@ typedef struct dal__head {
 /* In front of the doubles of a snapshot. */
 typedef struct dal__mark {
     uint32_t checksum, serial; /* serial: counts the snapshots */
-    uint64_t steps, done, stored, timed; /* of the run */
+    uint64_t steps, done, stored, times_done; /* of the run */
     uint64_t records;          /* before it */
 } dal__mark;
 

@@ -108,12 +108,12 @@ static size_t steps_of_inputs(const dal_run *run, size_t most)
     return steps < most ? steps : most;
 }
 
-/* Write the events of the step and the times from `timed` on to the journal; call happened. */
-static int report(const dal_run *run, size_t timed)
+/* Write the events of the step, and the times after times_done, to the journal; call happened. */
+static int report(const dal_run *run, size_t times_done)
 {
     const dal_events *const e = run->events;
     const size_t step = e->step + (size_t)run->ended;
-    int status = dal__journal_times(run, timed);
+    int status = dal__journal_times(run, times_done);
     for (size_t k = 0; k < e->happenings; k++) {
         const happening *const one = &e->happened[k];
         const double *const after = one->reset ? one->after : NULL;
@@ -135,9 +135,9 @@ static int look_and_step(dal_run *run, size_t *made)
     const size_t N = 2 * run->stepper->mech.n;
     double *const row = run->x ? run->x + run->stored * N : run->stepper->fresh;
     double *const reaction = reaction_of_row(run);
-    const size_t timed = run->timed;
+    const size_t times_done = run->times_done;
     int status = dal__events_step(run, row, reaction, made);
-    if (!status) status = report(run, timed);
+    if (!status) status = report(run, times_done);
     if (!run->ended) return status;
     if (run->row_times) run->row_times[run->stored] = run->t_end;
     if (!status) status = dal__journal_row(run, row, reaction);

@@ -48,7 +48,7 @@ typedef struct dal_run {
     void *happened_ctx;
     const double *times;    /* [time_count] output times in the order of the run; requires events */
     size_t time_count;
-    double *at;             /* [time_count*2n]: the states at times, in the set that the scheme
+    double *x_at_times;     /* [time_count*2n]: the states at times, in the set that the scheme
                                preserves */
     struct dal_journal *journal; /* see dalembert/journal.h; or NULL */
     int unchecked;          /* 1: no estimate of the error.  Otherwise a run with steps of size h,
@@ -73,7 +73,7 @@ typedef struct dal_run {
                                          set rows_set to 1, and control is not called for it */
     size_t done;            /* steps taken */
     size_t stored;          /* rows of x that are valid */
-    size_t timed;           /* rows of at that are valid */
+    size_t times_done;      /* rows of x_at_times that are valid */
     int ended;              /* 1: a terminal event ended the run; its state is the last row of x,
                                and the stepper is before the step */
     double t_end;           /* time of the terminal event */

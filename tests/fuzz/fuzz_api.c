@@ -991,15 +991,17 @@ static int call_run(world *w)
         times[k] = before.t + (double)steps * w->h * (double)k / TIMES;
     dal_run run = {.stepper = w->stepper, .steps = steps, .stride = stride, .x = x,
                    .events = events, .times = asked > 0 ? times : NULL, .time_count = asked,
-                   .at = at};
+                   .x_at_times = at};
     do status = CALL(dal_run_go, &run, 1 + next_below(&w->t, 8));
     while (status == 0 && run.done < steps && w->t.at < w->t.end);
     const standing after = standing_of(w);
     MUST(after.steps == before.steps + run.done, "%zu and %zu", after.steps, run.done);
     MUST(run.done <= steps && run.stored <= steps / stride + 1, "%zu of %zu", run.done, steps);
     for (size_t i = 0; i < run.stored * 2 * n; i++) MUST(isfinite(x[i]), "row %zu", i / (2 * n));
-    for (size_t i = 0; i < run.timed * 2 * n; i++) MUST(isfinite(at[i]), "time %zu", i / (2 * n));
-    if (status == 0 && run.done == steps) MUST(run.timed == asked, "%zu times", run.timed);
+    for (size_t i = 0; i < run.times_done * 2 * n; i++)
+        MUST(isfinite(at[i]), "time %zu", i / (2 * n));
+    if (status == 0 && run.done == steps)
+        MUST(run.times_done == asked, "%zu times", run.times_done);
     dal_events_free(events);
     if (run.done > 0 && status != DAL_EUSER && status != DAL_EDOMAIN) check_residual(w);
     if (run.done == 0) MUST(memcmp(&before, &after, sizeof before) == 0, "%d", status);

@@ -195,7 +195,7 @@ class Watch:
         run.events, run.happened, run.happened_ctx = self.handle, lib.dal_py_happened, self.context
         if self.times is not None:
             run.times, run.time_count = core.pointer(self.times), len(self.times)
-            run.at = core.pointer(self.at, output=True)
+            run.x_at_times = core.pointer(self.at, output=True)
 
     @property
     def last(self) -> int:

@@ -274,7 +274,7 @@ class Run:
         """
         run, watch = self.run, self.watch
         assert watch is not None
-        x, times = watch.at[: run.timed], watch.times[: run.timed]
+        x, times = watch.at[: run.times_done], watch.times[: run.times_done]
         if run.ended:
             kept = self.scheme.nodes == "kept"
             shift = self.scheme.shift(self.h) if kept else 0.0  # such steps have one size

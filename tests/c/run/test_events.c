@@ -223,9 +223,9 @@ static void check_looking(const char *scheme, double h)
         dal_run run = {.stepper = stepper, .steps = STEPS, .stride = 1,
                        .x = looking ? rows : plain, .reactions = reactions[looking],
                        .events = events, .times = looking ? times : NULL,
-                       .time_count = looking ? STEPS : 0, .at = at};
+                       .time_count = looking ? STEPS : 0, .x_at_times = at};
         while (run.done < STEPS) CHECK(dal_run_go(&run, looking ? 7 : SIZE_MAX) == DAL_SUCCESS);
-        CHECK(run.timed == (looking ? STEPS : 0) && !run.ended);
+        CHECK(run.times_done == (looking ? STEPS : 0) && !run.ended);
         dal_events_free(events);
         release(stepper);
     }
@@ -440,9 +440,9 @@ static void test_terminal(const dal_system *ball)
     seen s = {.n = 2};
     dal_run run = {.stepper = stepper, .steps = 100, .stride = 10, .x = rows, .events = events,
                    .happened = happened, .happened_ctx = &s, .times = times, .time_count = 6,
-                   .at = at};
+                   .x_at_times = at};
     CHECK(dal_run_go(&run, SIZE_MAX) == DAL_STOPPED);
-    CHECK(run.ended && s.count == 3 && run.stored == 8 && run.done == 66 && run.timed == 5);
+    CHECK(run.ended && s.count == 3 && run.stored == 8 && run.done == 66 && run.times_done == 5);
     CHECK_NEAR(run.t_end, 5 * T, 1e-13);
     CHECK_NEAR(rows[4 * 7], 1.5 * 5 * T, 1e-13);
     CHECK(fabs(rows[4 * 7 + 1]) < 1e-13 && rows[4 * 7 + 3] < 0.0 && !s.reset[2] && s.reset[1]);
@@ -725,7 +725,7 @@ static void test_failures(void)
     CHECK(dal_run_go(&run, 1) == DAL_EINVAL);
     dal_events *const own = events_of(second, "midpoint", NULL, 0);
     run = (dal_run){.stepper = second, .steps = 5, .stride = 1, .events = own, .times = times,
-                    .time_count = 2, .at = at};
+                    .time_count = 2, .x_at_times = at};
     CHECK(dal_run_go(&run, 1) == DAL_EINVAL
           && strstr(dal_stepper_error(second)->text, "times[1] = 0.2") != NULL);
     times[1] = 0.51;
@@ -733,10 +733,10 @@ static void test_failures(void)
     times[1] = NAN;
     CHECK(dal_run_go(&run, 1) == DAL_EINVAL);
     times[1] = 0.5;
-    run.at = NULL;
+    run.x_at_times = NULL;
     CHECK(dal_run_go(&run, 1) == DAL_EINVAL);
-    run.at = at;
-    CHECK(dal_run_go(&run, SIZE_MAX) == 0 && run.timed == 2);
+    run.x_at_times = at;
+    CHECK(dal_run_go(&run, SIZE_MAX) == 0 && run.times_done == 2);
     dal_events_free(own);
     dal_events_free(events);
     dal_events_free(NULL);
@@ -754,8 +754,8 @@ static void test_no_steps(void)
     dal_events *events = NULL;
     need(dal_events_new(&events, stepper, &scheme, NULL, 0, NULL), "events", "");
     dal_run run = {.stepper = stepper, .stride = 1, .events = events,
-                   .times = (double[]){0.5, 0.5}, .time_count = 2, .at = at};
-    CHECK(dal_run_go(&run, 1) == DAL_SUCCESS && run.timed == 2);
+                   .times = (double[]){0.5, 0.5}, .time_count = 2, .x_at_times = at};
+    CHECK(dal_run_go(&run, 1) == DAL_SUCCESS && run.times_done == 2);
     for (size_t k = 0; k < 2; k++)
         CHECK(memcmp(at + 6 * k, dal_stepper_state(stepper), 6 * sizeof *at) == 0);
     dal_events_free(events);

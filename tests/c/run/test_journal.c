@@ -226,7 +226,7 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
                        .control = p->controlled ? control : NULL, .events = o->events,
                        .happened = o->events ? note : NULL, .happened_ctx = o,
                        .times = p->timed ? o->times : NULL, .time_count = p->timed ? MOST_ROWS : 0,
-                       .at = p->timed ? o->at : NULL};
+                       .x_at_times = p->timed ? o->at : NULL};
     if (varies) {
         o->run.until = 3.5;
         o->run.input_duration = 0.05 * (double)p->hold;
@@ -261,7 +261,7 @@ static void check_same(const outcome *a, const outcome *b)
 {
     const size_t N2 = 2 * a->n;
     CHECK(a->run.done == b->run.done && a->run.stored == b->run.stored);
-    CHECK(a->run.timed == b->run.timed && a->run.ended == b->run.ended);
+    CHECK(a->run.times_done == b->run.times_done && a->run.ended == b->run.ended);
     CHECK((!a->run.ended || a->run.t_end == b->run.t_end) && a->happenings == b->happenings);
     CHECK(memcmp(a->x, b->x, sizeof a->x) == 0);
     CHECK(memcmp(a->reactions, b->reactions, sizeof a->reactions) == 0);
@@ -488,7 +488,7 @@ static void check_every_moment(const plan *p, size_t budget)
     int status;
     do {
         status = dal_run_go(&o.run, budget);
-        world.acknowledged = p->timed ? o.run.timed : o.run.stored;
+        world.acknowledged = p->timed ? o.run.times_done : o.run.stored;
     } while (!is_over(status, &o.run));
     world.imaging = false;
     check_same(&o, &whole);
@@ -706,7 +706,7 @@ static void test_other_runs(void)
     tear_down(&o);
     const struct { int what; const char *text; int status; } wrong[] = {
         {0, "stride is 4 in the journal, but 2 in the run", DAL_EINVAL},
-        {1, "the number of steps of a row of inputs is 3 in the journal, but 5 in the run", DAL_EINVAL},
+        {1, "steps of a row of inputs is 3 in the journal, but 5 in the run", DAL_EINVAL},
         {2, "the number of inputs is 2 in the journal, but 0 in the run", DAL_EINVAL},
         {3, "another system or scheme", DAL_EINVAL},
         {4, "another system or scheme", DAL_EINVAL},

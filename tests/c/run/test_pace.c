@@ -529,8 +529,8 @@ static void test_events(void)
     need(dal_events_new(&events, stepper, &kl8, list, 1, &error), "events", error.text);
     dal_run run = {.stepper = stepper, .steps = MOST, .stride = 1, .until = 50.0, .x = rows,
                    .row_times = times, .reactions = reactions, .events = events,
-                   .times = wanted, .time_count = 4, .at = at};
-    CHECK(dal_run_go(&run, SIZE_MAX) == DAL_STOPPED && run.ended && run.timed == 4);
+                   .times = wanted, .time_count = 4, .x_at_times = at};
+    CHECK(dal_run_go(&run, SIZE_MAX) == DAL_STOPPED && run.ended && run.times_done == 4);
     const double *const end = rows + (run.stored - 1) * 6;
     CHECK(times[run.stored - 1] == run.t_end);
     CHECK_NEAR(end[0], 0.4, 1e-14);

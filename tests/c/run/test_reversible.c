@@ -643,7 +643,8 @@ static void test_runs(void)
                  error.text);
         dal_run run = {.stepper = stepper, .steps = MOST, .stride = 1, .until = 4.75, .x = rows,
                        .row_times = watched ? times : plain_times, .events = events,
-                       .times = watched ? wanted : NULL, .time_count = watched ? 4 : 0, .at = at};
+                       .times = watched ? wanted : NULL, .time_count = watched ? 4 : 0,
+                       .x_at_times = at};
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
         CHECK(run.row_times[run.stored - 1] == 4.75 && run.done + 1 == run.stored);
         if (watched == 1) {

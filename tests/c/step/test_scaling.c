@@ -702,7 +702,7 @@ static void test_events(void)
     dal_events *events = NULL;
     need(dal_events_new(&events, stepper, &leapfrog, list, 1, &error), "events", error.text);
     dal_run run = {.stepper = stepper, .steps = STEPS, .stride = 1, .events = events,
-                   .times = wanted, .time_count = TIMES, .at = at, .happened = bounced,
+                   .times = wanted, .time_count = TIMES, .x_at_times = at, .happened = bounced,
                    .happened_ctx = &b, .observer = look, .observer_ctx = &b};
     CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
     CHECK(b.count >= 3 && b.energy < 0.9 * E);
