@@ -92,15 +92,7 @@ class CompilerError(DalembertError):
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler.
-
-    Attributes
-    ----------
-    command : tuple of str
-        The command that runs the compiler.
-    identity : str
-        A text that identifies the compiler and its version.
-    """
+    """A C compiler: the command that runs it, and a text that identifies it and its version."""
 
     command: tuple[str, ...]
     identity: str
@@ -154,11 +146,8 @@ def compile_program(
 ) -> bytes:
     """Return the shared library compiled from a source.
 
-    Raises
-    ------
-    CompilerError
-        If the compiler rejects the program.  The message has the line of C, and from ``origin`` the
-        expression from which it was generated.
+    A CompilerError has the line of C that the compiler rejects, and from ``origin`` the expression
+    from which it was generated.
     """
     _remove_left()
     flags = _flags_for_lanes(compiler) if lanes else FLAGS
@@ -325,14 +314,9 @@ def _private_folder() -> tempfile.TemporaryDirectory[str]:
 
 
 class Library:
-    """A compiled model, loaded.
+    """A compiled model, loaded from a file.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    definition : cdata
-        ``dal_system_def *``: the part that does not depend on parameters.
+    ``definition`` is a ``dal_system_def *``: the part that does not depend on parameters.
     """
 
     def __init__(self, path: Path) -> None:
@@ -360,21 +344,10 @@ def library(
 ) -> Library | None:
     """Return the library of a model, from the cache or compiled; None without a compiler.
 
-    Parameters
-    ----------
-    key : str
-        Digest of the model.
-    versions : str
-        Versions of the code that derives the program from the model.
-    program : callable
-        ``program() -> (source, origin)``, called only if the library has to be compiled.
-    lanes : bool, optional
-        Whether the library has lanes, and is for all processors.
-
-    Raises
-    ------
-    CompilerError
-        If the compiler rejects the program.
+    ``key`` is a digest of the model, ``versions`` are those of the code that derives the program
+    from it.  ``program() -> (source, origin)`` is called only if the library has to be compiled.  A
+    library with ``lanes`` is for all processors.  Raises CompilerError if the compiler rejects the
+    program.
     """
     compiler = find()
     if compiler is None:

@@ -20,13 +20,9 @@ Pair = tuple[Array, Array]
 def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array:
     """Return ``value`` as C-contiguous doubles of one of the shapes.
 
-    ``None`` in a shape stands for any length.  For the shape (1,) a number is accepted.
-
-    Raises
-    ------
-    ValueError
-        If ``value`` is not an array of real finite numbers, or has another shape.  The message has
-        the name, the value and the expected shape.
+    ``None`` in a shape stands for any length.  For the shape (1,) a number is accepted.  Raises
+    ValueError, with the name, the value and the expected shape, for anything else than real finite
+    numbers of such a shape.
     """
     try:
         result = _reals(value)
@@ -214,23 +210,11 @@ def parameter(value: Any, name: str) -> float:
 def inputs(
     given: Any, names: Sequence[str], count: int, which: str = "a state", name: str = "inputs"
 ) -> Array:
-    """Return inputs as rows, shape (count, k), from an array or a mapping; zeros for None.
+    """Return inputs as rows, shape (count, k); zeros for None, ValueError if that fails.
 
-    Parameters
-    ----------
-    given : array_like, shape (k,) or (count, k), or mapping, or None
-        A mapping has all names; each value is a number or an array of shape (count,).
-    names : sequence of str
-        The k names.
-    count : int
-    which : str, optional
-        The owner of a row, for messages.
-    name : str, optional
-        Name of the argument, for messages.
-
-    Raises
-    ------
-    ValueError
+    They are given as an array of shape (k,) or (count, k), or as a mapping that has all k names.  A
+    value of the mapping is a number or an array of shape (count,).  For messages, ``name`` is the
+    name of the argument, and ``which`` the owner of a row.
     """
     width = len(names)
     if given is None:
@@ -308,11 +292,7 @@ def shape(value: Any) -> Any:
 def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:
     """Return the result of the callback ``name`` as doubles of ``shape``; C checks for NaN.
 
-    Raises
-    ------
-    ValueError
-        If the result has another type or shape.  The message has the name, the result and the
-        expected shape.
+    The ValueError for another type or shape has the name, the result and the expected shape.
     """
     try:
         result = _reals(value)

@@ -22,12 +22,7 @@ _PACKAGES = {"PIL": "pillow"}
 
 
 def require(module: str, purpose: str) -> Any:
-    """Import a module of an optional package.
-
-    Raises
-    ------
-    ImportError
-        If it is not installed.  The message has the command that installs it.
+    """Import a module of an optional package; an ImportError has the command that installs it.
 
     Examples
     --------
@@ -66,12 +61,8 @@ def progress(
 ) -> contextlib.AbstractContextManager[Show]:
     """Provide a function that shows the progress, by a bar, by a user's function, or not at all.
 
-    Raises
-    ------
-    ValueError
-        If ``wanted`` is neither a truth value nor callable.
-    ImportError
-        If a bar is wanted and tqdm is not installed.
+    Raises ValueError if ``wanted`` is neither a truth value nor callable, and ImportError if a bar
+    is wanted and tqdm is not installed.
     """
     if callable(wanted):
         show = wanted

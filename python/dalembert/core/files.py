@@ -46,10 +46,7 @@ def require_folder(path: str | Path) -> None:
 def write(path: str | Path, text: str) -> None:
     """Write a text file; an existing file is replaced when the new one is complete.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be written.  The message has its name, and an existing file is unchanged.
+    An OSError has the name of the file; an existing file is then unchanged.
     """
     target = Path(path)
     require_writable(target)

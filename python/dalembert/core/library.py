@@ -33,13 +33,8 @@ def strings(texts: list[str]) -> tuple[Any, list[Any]]:
 def pointer(array: Array, row: int = 0, count: int = 0, *, output: bool = False) -> Any:
     """Return the address of ``array[row]``; the caller keeps the array alive.
 
-    C reads, or for an ``output`` writes, ``count`` doubles from there.
-
-    Raises
-    ------
-    ValueError
-        If the array has fewer C-contiguous doubles from its row on, or is read-only for an
-        ``output``.
+    C reads, or for an ``output`` writes, ``count`` doubles from there.  Raises ValueError if the
+    array has fewer C-contiguous doubles from its row on, or is read-only for an ``output``.
     """
     if array.dtype != np.float64:
         raise ValueError(f"an array of {array.dtype}: expected float64")

@@ -20,31 +20,18 @@ ARGUMENTS = {"potential": 6, "constraint": 8, "driven": 9, "lagrangian": 11, "fo
 
 @dataclass(frozen=True)
 class Pointer:
-    """A C function.
-
-    Attributes
-    ----------
-    address : int
-    owner : object
-        The object to keep alive.
-    user_data : object or None
-        The ctx of a SciPy LowLevelCallable.
-    """
+    """A C function."""
 
     address: int
-    owner: Any
-    user_data: Any = None
+    owner: Any  # to be kept alive
+    user_data: Any = None  # the ctx of a SciPy LowLevelCallable
 
 
 def find(name: str, value: Any, callback: str | None = None) -> Pointer | None:
     """Return an argument ``name`` of `System` as C function; None if it is not one.
 
-    ``callback`` is its type, one of `ARGUMENTS`; default: the type of its name.
-
-    Raises
-    ------
-    ValueError
-        If the C function is NULL, or has another number of arguments, if that is known.
+    ``callback`` is its type, one of `ARGUMENTS`; default: the type of its name.  Raises ValueError
+    if the C function is NULL or is known to have another number of arguments.
 
     Examples
     --------

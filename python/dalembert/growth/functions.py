@@ -40,12 +40,8 @@ class _Point:
     """Brackets of mu given by functions, at a point, see `search.search`.
 
     Brackets of k + 1 fields are multiplied by h^k, so their roundoff is the same for all k. Twins
-    use another distance h of the differences, so small that the two agree.
-
-    Raises
-    ------
-    DalembertError
-        If the rank of mu is below m there; from `pair`, if its derivatives do not seem to exist.
+    use another distance h of the differences, so small that the two agree.  Raises DalembertError
+    if the rank of mu is below m there, or, from `pair`, if its derivatives do not seem to exist.
     """
 
     rounding = 2.0**-44

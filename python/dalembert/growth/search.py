@@ -171,16 +171,11 @@ def _at_random(count: int, length: int) -> Iterator[Word]:
 def explore(
     source: Any, near: Array, q: Array | None, show: Show
 ) -> tuple[Distribution, list[Any]]:
-    """Return the results about D, and the points at which brackets were computed.
+    """Return the results about D, see `growth.examine`, and the points with computed brackets.
 
-    Parameters
-    ----------
-    source : object
-        Has the sizes n and m, its ``digits``, and ``point(q, is_exact)`` for `search`.  Also the
-        numbers of orders ``most`` at a general point and ``most_there`` at q, and ``lost``, the
-        message for brackets not distinguishable from 0.
-    near, q, show
-        See `growth.examine`.
+    The source has the sizes n and m, its ``digits``, and ``point(q, is_exact)`` for `search`.  It
+    also has the numbers of orders ``most`` at a general point and ``most_there`` at q.  Its
+    ``lost`` is the message for brackets not distinguishable from 0.
     """
     n, m, show = source.n, source.m, _rising(show)
     points, general, note = _general(source, near, show)

@@ -49,27 +49,13 @@ _NEEDS = {
 
 
 class Made(NamedTuple):
-    """A C system and its parts in Python.
+    """A C system and its parts in Python."""
 
-    Attributes
-    ----------
-    handle : cdata
-        The ``dal_system *``.
-    exact : callable or None
-        The exact solution, unless C has it.
-    invariants : dict
-        First integrals, unless C has them.
-    has_exact : bool or None
-        Whether there is an exact solution; None: ask C.
-    model : Model or None
-        The model of a system from expressions.
-    """
-
-    handle: Any
-    exact: Function | None = None
-    invariants: Mapping[str, Function] = {}
-    has_exact: bool | None = None
-    model: Any = None
+    handle: Any  # ``dal_system *``
+    exact: Function | None = None  # the exact solution, unless C has it
+    invariants: Mapping[str, Function] = {}  # first integrals, unless C has them
+    has_exact: bool | None = None  # whether there is an exact solution; None: ask C
+    model: Any = None  # of a system from expressions
 
 
 class Source:
