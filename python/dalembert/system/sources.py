@@ -312,7 +312,10 @@ def _mass_and_names(
     """Return M or its diagonal, if given, and the names of the coordinates, of the same size."""
     if coordinates is not None:
         coordinates = arguments.names(coordinates, "coordinates", "several names, as ['x', 'y']")
-    told = _number_of_coordinates(n, coordinates, q0, most)
+    told = None if n is None else arguments.integer(n, "n", 1, most)
+    for one in (coordinates, q0):
+        if told is None and one is not None:
+            told = int(np.size(one))
     matrix = None if mass is None else _mass_matrix(mass, n, told)
     size = told if matrix is None else len(matrix)
     if size is None:
@@ -540,17 +543,6 @@ def _require_compiled(
         raise ValueError("potential and lagrangian are both given: expected one of the two")
     if ("constraint" in compiled) != bool(m):
         raise ValueError(f"m = {m}: expected the number of constraints, with a constraint only")
-
-
-def _number_of_coordinates(
-    n: int | None, coordinates: Sequence[str] | None, q0: ArrayLike | None, most: int
-) -> int | None:
-    """Return n as given, or the number of coordinates or entries of q0, or None."""
-    if n is not None:
-        return arguments.integer(n, "n", 1, most)
-    if coordinates is not None:
-        return len(coordinates)
-    return None if q0 is None else int(np.size(q0))
 
 
 def _mass_matrix(mass: ArrayLike, n: int | None, told: int | None) -> Array:
