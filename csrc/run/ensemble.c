@@ -1,10 +1,34 @@
 /* Many runs by one stepper, which is started again for each. */
 #include "run/member.h"
 
+#include <math.h>
+
 /* ---- arguments ----------------------------------------------------------------------------- */
 
-static int check_members(const dal_system *system, const dal_members *members, size_t first,
-                         size_t count, dal_error *error)
+/* Whether the steps have sizes of their own. */
+static bool varies(const dal_options *options)
+{
+    return options && (options->tolerance != 0.0 || options->eps != 0.0);
+}
+
+/* DAL_EINVAL for the end, the rows and the inputs of members with steps of variable size. */
+static int check_varied(const dal_members *members, dal_error *error)
+{
+    const double rows = (members->until - members->t0) / members->input_duration;
+    if (members->stride > 0)
+        return dal__fail(error, DAL_EINVAL, "members.stride = %zu: expected 0, because the size of "
+                         "the steps varies", members->stride);
+    if (!isfinite(members->until))
+        return dal__fail(error, DAL_EINVAL, "members.until = %g: expected a finite time",
+                         members->until);
+    if ((members->inputs || members->control) && !(rows >= 0.0 && rows < 0x1p53))
+        return dal__fail(error, DAL_EINVAL, "members.input_duration = %g: expected a time in the "
+                         "direction of the steps", members->input_duration);
+    return DAL_SUCCESS;
+}
+
+static int check_members(const dal_system *system, const dal_options *options,
+                         const dal_members *members, size_t first, size_t count, dal_error *error)
 {
     int status = DAL__REQUIRE(error, {"members.h", members->h}, {"members.steps", members->steps},
                               {"members.events", members->events || members->event_count == 0});
@@ -24,6 +48,7 @@ static int check_members(const dal_system *system, const dal_members *members, s
     if (!members->x && !system->def.state)
         return dal__fail(error, DAL_EINVAL, "members.x is NULL, but the system has no default "
                          "initial data");
+    if (varies(options)) return check_varied(members, error);
     if (members->stride > 0 && members->steps_next > 0)
         return dal__fail(error, DAL_EINVAL, "members.steps_next = %zu with stride = %zu: expected "
                          "the same number of steps for all, or stride = 0", members->steps_next,
@@ -55,8 +80,11 @@ static dal_law law_of(const dal__worker *self, const dal_law *given)
 }
 
 /* The rows of inputs of the longest of the members. */
-static size_t most_input_rows(const dal_members *members, size_t first, size_t count)
+static size_t most_input_rows(const dal_options *options, const dal_members *members,
+                              size_t first, size_t count)
 {
+    if (varies(options))
+        return (size_t)ceil((members->until - members->t0) / members->input_duration) + 1;
     const size_t input_steps = members->input_steps > 0 ? members->input_steps : 1;
     size_t most = 0;
     for (size_t k = first; k < first + count; k++) {
@@ -87,7 +115,7 @@ static int make_events(dal__worker *self, const dal_scheme *scheme, dal_event *l
 static bool use_lanes(const dal_members *members, const dal_options *options)
 {
     return members->lanes && members->event_count == 0 && !members->inputs
-        && !(options && options->keep_energy);
+        && !(options && options->keep_energy) && !varies(options);
 }
 
 static int worker_init(dal__worker *self, const dal_system *system, const dal_scheme *scheme,
@@ -113,11 +141,6 @@ static int worker_init(dal__worker *self, const dal_system *system, const dal_sc
         self->system = self->own;
     }
     if (!status && members->control) self->control = law_of(self, members->control);
-    if (!status && options && (options->tolerance != 0.0 || options->eps != 0.0))
-        status = dal__fail(error, DAL_EUNSUPPORTED, "options.%s = %g: expected 0, because the "
-                           "members of an ensemble take steps of fixed size h",
-                           options->eps != 0.0 ? "eps" : "tolerance",
-                           options->eps != 0.0 ? options->eps : options->tolerance);
     if (!status) status = dal_stepper_new(&self->stepper, self->system, scheme, options, error);
     if (!status && (members->energy || members->residual || members->multipliers))
         status = dal_mechanics_new(&self->mech, self->system, error);
@@ -141,13 +164,14 @@ int dal_ensemble_run(const dal_system *system, const dal_scheme *scheme, const d
 {
     int status =
         DAL__REQUIRE(error, {"system", system}, {"scheme", scheme}, {"members", members});
-    if (!status) status = check_members(system, members, first, count, error);
+    if (!status) status = check_members(system, options, members, first, count, error);
     if (status) return status;
     const size_t stride = members->stride, rows = stride > 0 ? *members->steps / stride + 1 : 1;
     dal__worker self = {.members = members, .first = first, .rows = rows,
                         .reactions = stride > 0 ? rows - 1 : 1, .piece = 1,
                         .watch = {.function = watch, .ctx = ctx}};
-    const size_t input_rows = members->control ? most_input_rows(members, first, count) : 0;
+    const size_t input_rows =
+        members->control ? most_input_rows(options, members, first, count) : 0;
     status = worker_init(&self, system, scheme, options, input_rows, error);
     if (!status && self.lanes) dal__batches_run(&self, count);
     else if (!status) run_members(&self, count);

@@ -45,9 +45,12 @@ static void measure(dal__worker *self, size_t row, size_t step, double t, const 
     if (!self->mech) return;
     /* of constraints that depend on inputs those that the state lies in the D of */
     const bool driven = self->system->def.driven;
-    const bool before = step == run->steps || (driven && !run->ended);
-    if (u) u += (before && step > 0 ? step - 1 : step) / input_steps * width;
-    if (members->control && multipliers && !before && !driven && step % input_steps == 0)
+    const bool before = dal__run_is_over(run) || (driven && !run->ended);
+    const bool varies = dal__run_varies(run);
+    const bool begins = !before && !varies && step % input_steps == 0;
+    if (u && varies) u += (run->rows_set > 0 ? run->rows_set - 1 : 0) * width;
+    else if (u) u += (before && step > 0 ? step - 1 : step) / input_steps * width;
+    if (members->control && multipliers && begins && !driven)
         dal_law_control(step, t, x, u, &self->control); /* as the run will at once */
     const double shift = self->stepper->shift * self->stepper->motion.h;
     if (energy) dal__trajectory(self->mech, t, 0.0, 0, shift, 1, x, u, energy + at, NULL, NULL,
@@ -84,7 +87,7 @@ static void conclude(dal__worker *self)
     const dal_run *const run = &self->run;
     const size_t N = 2 * self->system->def.n, k = self->member, last = run->stored - 1;
     const double t = run->ended ? run->t_end : dal_stepper_time(self->stepper);
-    const bool is_over = run->ended || run->done == run->steps;
+    const bool is_over = run->ended || dal__run_is_over(run);
     const double *const x = !run->ended ? self->stepper->motion.x
                           : run->x ? run->x + last * N : self->stepper->fresh;
     if (members->t_end) members->t_end[k] = t;
@@ -165,7 +168,8 @@ static void prepare_run(dal__worker *self)
     dal_run *const run = &self->run;
     *run = (dal_run){.stepper = self->stepper, .steps = steps, .events = self->events,
                      .stride = stride > 0 ? stride : steps > 0 ? steps : 1,
-                     .input_steps = members->input_steps, .unchecked = 1,
+                     .input_steps = members->input_steps, .until = members->until,
+                     .input_duration = members->input_duration, .unchecked = 1,
                      .watch = self->watch.function ? relay : NULL, .watch_ctx = self};
     if (members->inputs) run->inputs = (double *)ROW_OF(members, inputs, k); /* which are read */
     if (members->control) {
@@ -195,15 +199,17 @@ int dal__member_finish(dal__worker *self, int status)
 {
     const dal_run *const run = &self->run;
     if (run->ended) status = DAL_SUCCESS;
-    else if (self->stopped && run->done < run->steps) status = DAL_STOPPED;
+    else if (self->stopped && !dal__run_is_over(run)) status = DAL_STOPPED;
     conclude(self);
     return status;
 }
 
-/* Part of the steps that are made. */
+/* Part of the run that is made. */
 static double part_of(const dal_run *run)
 {
-    return run->steps > 0 ? (double)run->done / (double)run->steps : 1.0;
+    if (dal__run_is_over(run)) return 1.0;
+    if (!dal__run_varies(run)) return (double)run->done / (double)run->steps;
+    return (dal_stepper_time(run->stepper) - run->t_begin) / (run->until - run->t_begin);
 }
 
 int dal__member_complete(dal__worker *self)
@@ -216,7 +222,7 @@ int dal__member_complete(dal__worker *self)
         status = dal_run_go(run, self->stopped ? 0 : watched ? self->piece : SIZE_MAX);
         if (watched && !status && !self->stopped)
             dal__worker_poll(self, (double)(self->member - self->first) + part_of(run), began);
-    } while (!status && !self->stopped && run->done < run->steps);
+    } while (!status && !self->stopped && !dal__run_is_over(run));
     return dal__member_finish(self, status);
 }
 

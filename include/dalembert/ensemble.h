@@ -33,6 +33,10 @@ typedef struct dal_members {
     size_t steps_next;
     const double *inputs;       /* [ceil(steps/input_steps)*inputs] as in a dal_run; NULL: 0 */
     size_t inputs_next, input_steps;
+    double until;               /* for steps of variable size, options.tolerance > 0: the end time.
+                                   They need stride = 0, and steps is the limit of their number */
+    double input_duration;      /* for these, instead of input_steps: as in a dal_run.  The rows of
+                                   inputs are those up to until */
     const dal_law *control;     /* or NULL: the law of the inputs, evaluated when they change.  If
                                    its ctx is NULL, it gets the ctx of the member's system */
     double t0;

@@ -14,7 +14,7 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -89,30 +89,7 @@ def _in_words(error: OSError) -> str:
 
 
 def _say(given: argparse.Namespace, what: Any) -> None:
-    print(f"dalembert {given.command}: {_as_typed(str(what), vars(given))}", file=sys.stderr)
-
-
-# Advice of the package that has another form on the command line.
-_AS_TYPED = {
-    r"\bconsistent='(\w+)'": r"--consistent \1",
-    r", or compute it with system\.project\(q0, v0\)": "",
-    r"\bcheck_h=False\b": "--no-check-h",
-}
-
-
-def _as_typed(text: str, options: Iterable[str]) -> str:
-    """Return a message of the package with arguments of Python as options of the command."""
-    for python, typed in _AS_TYPED.items():
-        text = re.sub(python, typed, text)
-    for name in options:
-        here, typed = rf"(?<![\w.'-]){name}", f"--{name.replace('_', '-')}"
-        if name in ("command", "run", "system", "model", "file", "output"):
-            continue
-        text = re.sub(rf"{here} = '?([^\s',;:)]+)'?", rf"{typed} \1", text)
-        # Names that are English words are names of options only at the beginning.
-        is_name = "_" in name or name[-1] == "0" or name == "stride"
-        text = re.sub(rf"{here}\b" if is_name else rf"^{name}(?=:| is )", typed, text)
-    return text
+    print(f"dalembert {given.command}: {runs.as_typed(str(what), vars(given))}", file=sys.stderr)
 
 
 class _Parser(argparse.ArgumentParser):

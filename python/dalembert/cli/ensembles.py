@@ -15,8 +15,7 @@ import numpy as np
 
 from ..core import arguments, extras, files
 from ..ensembles import Ensemble, ensemble, grid
-from ..run.events import CONSISTENCY
-from ..run.scheme import INITIAL
+from ..ensembles.spec import EnsembleOptions
 from ..system import System
 from . import runs
 
@@ -37,31 +36,11 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     add = command.add_argument
     add("model", metavar="MODEL", help=runs.MODEL)
     add("--grid", action="append", default=[], type=axis, metavar="NAME=A:B:N|X,Y,...", help=_GRID)
-    add("--scheme", metavar="NAME",
-        help="name of a scheme, see `dalembert schemes`, or a number beta (default: the "
-        "cheapest of order 2, leapfrog or midpoint)")
     add("--parameter", action="append", default=[], type=parameter, metavar="NAME=VALUE",
         help="set a parameter of all members (repeatable)")
-    add("--q0", type=numbers, metavar="X,Y,...", help="initial positions of all members")
-    add("--v0", type=numbers, metavar="X,Y,...", help="initial velocities of all members")
-    add("--consistent", choices=list(CONSISTENCY), default="check", help=runs.CONSISTENT)
-    add("--initial", choices=list(INITIAL), help=runs.KEPT_NODES)
-    add("--h", type=float, required=True, metavar="H", help="step size")
-    runs.add_end(command, required=True)
-    add("--t0", type=float, default=0.0, metavar="T", help="start time (default: 0)")
-    add("--stride", type=int, metavar="K",
-        help="store every K-th state of the quantities that are not stored at the end only")
-    add("--keep", default="end", metavar="NAME,...",
-        help="quantities to store: end, all, coordinates, v_NAME, energy, residual, multipliers, "
-        "reactions (default: end)")
-    who = command.add_mutually_exclusive_group()
-    who.add_argument("--executor", metavar="dask://HOST:PORT|processes[:N]", type=_executor,
-                     help="cluster or processes that run the members (default: threads of this "
-                     "process)")
-    who.add_argument("--threads", type=int, metavar="N",
-                     help="number of threads (default: all processors)")
-    add("--store", type=Path, metavar="DIR",
-        help="folder for the results, from which the same command resumes")
+    runs.add_options(command, EnsembleOptions, numbers)
+    add("--executor", metavar="dask://HOST:PORT|processes[:N]", type=_executor,
+        help="cluster or processes that run the members (default: threads of this process)")
     add("--output", type=Path, metavar="FILE", help="write the results to FILE.nc or FILE.npz")
     command.set_defaults(run=_run)
 
@@ -142,14 +121,12 @@ def _run(given: argparse.Namespace) -> int:
         if given.output.suffix not in (".nc", ".npz"):
             raise ValueError(f"--output {given.output}: expected a name that ends in .nc or .npz")
         files.require_writable(given.output)
-    q0, v0, parameters, axes = _given(system, given)
+    of_members = dict(zip(("q0", "v0", "parameters", "axes"), _given(system, given)))
     try:
         with _workers(given.executor) as executor:
             found = ensemble(
-                system, given.scheme, q0, v0, parameters, h=given.h, t_end=given.t_end,
-                steps=given.steps, t0=given.t0, stride=given.stride, keep=given.keep.split(","),
-                consistent=given.consistent, initial=given.initial, axes=axes, executor=executor,
-                threads=given.threads, store=given.store, progress=runs.progress(),
+                system, **runs.options(given, EnsembleOptions) | of_members
+                | {"executor": executor, "progress": runs.progress()},
             )  # fmt: skip
     except KeyboardInterrupt:
         if given.store is not None:

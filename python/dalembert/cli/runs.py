@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import re
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from .. import systems
 from ..core import extras, files, lib, string
 from ..core.arguments import suggestion
 from ..core.errors import DalembertError
+from ..core.records import MISSING, options_of
 from ..run import Solution, integrate, load, resume
-from ..run.events import CONSISTENCY
-from ..run.journal import ERRORS, Journal, is_journal
-from ..run.scheme import INITIAL
+from ..run.journal import Journal, is_journal
+from ..run.options import IntegrateOptions, ResumeOptions
 from ..run.storage import SUFFIXES, require_suffix
 from ..study.recommendation import recommend
 from ..system import System
@@ -26,11 +27,6 @@ MODEL = (
     "system: a name listed by `dalembert systems`, or FILE.py:NAME, where NAME is a System or a "
     "function that returns one; the file is executed"
 )
-CONSISTENT = (
-    "initial velocities that violate the constraint: raise an error (check, the default), project "
-    "them, or use them unchanged (assume)"
-)
-KEPT_NODES = "initial data of a scheme with kept nodes"
 _OUTPUT = f"write the run to a file with a name that ends in {' or '.join(SUFFIXES)}"
 
 
@@ -47,52 +43,20 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     )  # fmt: skip
     for command in (advice, run):
         command.add_argument("model", metavar="MODEL", help=MODEL)
-        command.add_argument("--q0", type=numbers, metavar="X,Y,...",
-                             help="initial positions")
-        command.add_argument("--v0", type=numbers, metavar="X,Y,...",
-                             help="initial velocities, which satisfy the constraint")
-        command.add_argument("--t0", type=float, default=0.0, metavar="T",
-                             help="start time (default: 0)")
+    add_options(advice, IntegrateOptions, numbers, names=("q0", "v0", "t0"))
     advice.add_argument("--t-end", type=float, required=True, metavar="T", help="end time")
     advice.add_argument("--accuracy", type=float, default=1e-6, metavar="E",
                         help="largest admissible error of the state at T, relative to 1 + abs(x) "
                         "(default: 1e-6)")
-    run.add_argument("--scheme", metavar="NAME",
-                     help="name of a scheme, see `dalembert schemes`, or a number beta "
-                     "(default: the cheapest of order 2, leapfrog or midpoint; with --h auto its "
-                     "composition kl8)")
-    run.add_argument("--h", type=_step, required=True, metavar="H",
-                     help="step size: a number, auto (as long as the tolerance allows) or "
-                     "reversible")
-    run.add_argument("--tolerance", type=float, metavar="E",
-                     help="error tolerance of --h auto (default: 1e-9), or of the scheme reference "
-                     "(default: 1e-13)")
-    run.add_argument("--eps", type=float, metavar="E",
-                     help="size of the steps with --h reversible, in units of the time scale of "
-                     "the motion (at most 0.2)")
-    run.add_argument("--h-max", type=float, metavar="H", help="longest step with --h auto")
-    add_end(run, required=True)
-    run.add_argument("--stride", type=int, metavar="K", help="store every K-th state (default: 1)")
-    run.add_argument("--consistent", choices=list(CONSISTENCY), default="check", help=CONSISTENT)
-    run.add_argument("--initial", choices=list(INITIAL), help=KEPT_NODES)
-    run.add_argument("--energy", choices=["keep"],
-                     help="keep the energy constant to roundoff, which doubles the run time")
-    run.add_argument("--no-check-h", dest="check_h", action="store_false", default=None,
-                     help="do not estimate whether the step is too large")
-    run.add_argument("--journal", type=Path, metavar="FILE",
-                     help="write a journal to a new FILE, for `dalembert resume` and "
-                     "`dalembert info`")
+    add_options(run, IntegrateOptions, numbers)
     goes_on = commands.add_parser(
         "resume", help="resume a run from its journal",
         description="Resume a run from its journal; the result is bitwise identical to an "
         "uninterrupted run.",
     )  # fmt: skip
     _add_file(goes_on)
-    add_end(goes_on, required=False)
+    add_options(goes_on, ResumeOptions, numbers, required=False, without=("path", "check_h"))
     for command in (run, goes_on):
-        command.add_argument("--journal-errors", choices=list(ERRORS),
-                             help="when the journal cannot be written: warn and continue without "
-                             "it (default), or stop")
         command.add_argument("--output", type=Path, metavar="FILE", help=_OUTPUT)
     info = commands.add_parser("info", help="show the contents of a journal or a saved run")
     _add_file(info)
@@ -114,18 +78,77 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
         command.set_defaults(run=function)
 
 
-def _step(text: str) -> float | str:
-    """Return a number, or the word, which `integrate` checks."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
+def add_options(
+    command: Any, record: Any, numbers: Any, *, required: bool = True,
+    names: Iterable[str] | None = None, without: Iterable[str] = (),
+) -> None:  # fmt: skip
+    """Add the options of a record that a command line can have, or those of these names."""
+    end = command.add_mutually_exclusive_group(required=required) if names is None else command
+    listed, texts = options_of(record), [""]
+    for one in reversed(listed.values()):  # without a text, that of the option after it
+        texts.append(one.help or texts[-1])
+    for name, one in listed.items():
+        text = in_words(texts.pop(), listed).replace("%", "%%")
+        if one.parse is None or name in without or (names and name not in names):
+            continue
+        how: dict[str, Any] = {"help": text, "default": one.default}
+        if one.parse is bool:
+            on_off = argparse.BooleanOptionalAction
+            how["action"] = on_off if one.default is None else "store_true"
+        elif one.choices:
+            how["choices"] = list(one.choices)
+        else:
+            how |= {"type": numbers if one.parse is list else one.parse, "metavar": one.metavar}
+        if one.default is MISSING:
+            how |= {"default": None, "required": True}
+        place = end if name in ("t_end", "steps") else command
+        place.add_argument(_typed(name), **how)
 
 
-def add_end(command: Any, *, required: bool) -> None:
-    end = command.add_mutually_exclusive_group(required=required)
-    end.add_argument("--t-end", type=float, metavar="T", help="end time")
-    end.add_argument("--steps", type=int, metavar="N", help="number of steps")
+def _typed(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def options(given: argparse.Namespace, record: Any) -> dict[str, Any]:
+    """Return the values for the options of a record."""
+    there = vars(given)
+    return {name: there[name] for name in options_of(record) if name in there}
+
+
+# Advice of the package that has another form on the command line.
+_AS_TYPED = {
+    r"\bconsistent='(\w+)'": r"--consistent \1",
+    r", or compute it with system\.project\(q0, v0\)": "",
+    r"\bcheck_h=False\b": "--no-check-h",
+}
+
+
+def as_typed(text: str, names: Iterable[str]) -> str:
+    """Return a message of the package with arguments of Python as options of the command."""
+    for python, typed in _AS_TYPED.items():
+        text = re.sub(python, typed, text)
+    for name in names:
+        here, typed = rf"(?<![\w.'-]){name}", _typed(name)
+        if name in ("command", "run", "system", "model", "file", "output"):
+            continue
+        text = re.sub(rf"{here} = '?([^\s',;:)]+)'?", rf"{typed} \1", text)
+        # Names that are English words are names of options only at the beginning.
+        is_name = "_" in name or name[-1] == "0" or name == "stride"
+        text = re.sub(rf"{here}\b" if is_name else rf"^{name}(?=:| is )", typed, text)
+    return text
+
+
+def in_words(text: str, names: Iterable[str]) -> str:
+    """Return the text of an option of the package, as the help of one of the command."""
+    words = re.split("``(.*?)``", " ".join(text.split()))
+    for k, word in enumerate(words):
+        if k % 2 and (word in names or re.fullmatch(r'\w+="\w+"', word)):
+            words[k] = " ".join(_typed(word).replace('"', "").split("="))
+        elif k % 2 == 0:
+            for name in (name for name in names if "_" in name):
+                word = re.sub(rf"\b{name}\b", _typed(name), word)
+            words[k] = word.replace("`", "")
+    return "".join(words)
 
 
 def _add_model(command: Any) -> None:
@@ -224,12 +247,7 @@ def _recommend(given: argparse.Namespace) -> int:
 def _run(given: argparse.Namespace) -> int:
     system = model(given.model, parameters(given))
     return _finish(given, lambda: integrate(
-        system, given.scheme, given.q0, given.v0, h=given.h, t_end=given.t_end,
-        steps=given.steps, t0=given.t0, stride=given.stride, tolerance=given.tolerance,
-        h_max=given.h_max, eps=given.eps,
-        consistent=given.consistent, initial=given.initial,
-        energy=given.energy, check_h=given.check_h,
-        journal=given.journal, journal_errors=given.journal_errors, progress=progress(),
+        system, **options(given, IntegrateOptions), progress=progress()
     ), given.journal)  # fmt: skip
 
 
@@ -238,8 +256,7 @@ def _resume(given: argparse.Namespace) -> int:
     goes_on = given.t_end is not None or given.steps is not None
     is_complete = not goes_on and _is_complete(given.file)
     status = _finish(given, lambda: resume(
-        given.file, system, t_end=given.t_end, steps=given.steps,
-        journal_errors=given.journal_errors, progress=progress(),
+        given.file, system, **options(given, ResumeOptions), progress=progress()
     ), given.file)  # fmt: skip
     if is_complete:
         print("the run was already complete; nothing was computed", file=sys.stderr)

@@ -153,24 +153,25 @@ def names(value: Any, name: str, expected: str) -> list[str]:
     return [text(each, name) for each in result]
 
 
-def function(value: Any, name: str, taken: str = "") -> None:
-    """Raise ValueError unless ``value`` is None or callable; the message has the arguments."""
+def function(value: Any, name: str, taken: str = "") -> Any:
+    """Return a value if it is None or callable; else raise ValueError, with the arguments."""
     if value is None:
-        return
+        return value
     if not callable(value):
         raise ValueError(f"{name} = {shown(value)}: expected a function")
     if not taken or inspect.isbuiltin(value):
-        return
+        return value
     try:
         signature = inspect.signature(value)
     except (TypeError, ValueError):  # of a function that is not written in Python
-        return
+        return value
     try:
         signature.bind(*taken.split(", "))
     except TypeError as error:
         raise ValueError(
             f"{name} is a function of {signature}: expected a function of ({taken})"
         ) from error
+    return value
 
 
 def mapping(value: Any, name: str) -> dict[Any, Any]:

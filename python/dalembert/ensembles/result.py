@@ -9,11 +9,11 @@ import numpy as np
 
 from ..core import Array, arguments, extras, lib
 from ..run import Solution
-from . import store, work
-from .ask import Ask, Given
+from . import block, store
+from .spec import EnsembleSpec, Broadcast
 
 # What every ensemble has, whatever is kept.
-_ALWAYS = ("status", "done", "t_end", "doubtful", *work.STATISTICS)
+_ALWAYS = ("status", "done", "t_end", "doubtful", *block.STATISTICS)
 
 
 _SMALL = 2**26  # bytes of an array that is kept when it was read from a store
@@ -22,12 +22,12 @@ _SMALL = 2**26  # bytes of an array that is kept when it was read from a store
 class Memory:
     """Blocks of an ensemble, collected in memory."""
 
-    def __init__(self, ask: Ask, size: int) -> None:
-        self._count, self._size = ask.count, size
-        self._arrays = _blanks(ask)
+    def __init__(self, spec: EnsembleSpec, size: int) -> None:
+        self._count, self._size = spec.count, size
+        self._arrays = _blanks(spec)
         self.messages: dict[int, str] = {}
 
-    def put(self, index: int, made: work.Block) -> None:
+    def put(self, index: int, made: block.Block) -> None:
         """Store a block."""
         begin = index * self._size
         for name, x in made.items():
@@ -58,7 +58,7 @@ class Memory:
         found.flags.writeable = False
         return found
 
-    def blocks(self) -> Iterator[tuple[int, work.Block]]:
+    def blocks(self) -> Iterator[tuple[int, block.Block]]:
         """Yield the first member of each block, and its arrays."""
         for begin in range(0, self._count, self._size):
             end = min(begin + self._size, self._count)
@@ -72,11 +72,11 @@ def _blank(name: str, kind: np.dtype[Any]) -> tuple[Any, Any]:
     return (np.nan if kind.kind == "f" else -1 if name == "ended_by" else 0), kind
 
 
-def _blanks(ask: Ask) -> dict[str, Array]:
+def _blanks(spec: EnsembleSpec) -> dict[str, Array]:
     """Return the arrays of an ensemble without any computed member."""
-    layout = work.layout(ask.setting, ask.rows)
+    layout = block.layout(spec.common, spec.rows)
     return {
-        name: np.full((ask.count, *shape), value, kind)
+        name: np.full((spec.count, *shape), value, kind)
         for name, (shape, kind, value) in layout.items()
     }
 
@@ -84,14 +84,14 @@ def _blanks(ask: Ask) -> dict[str, Array]:
 class Stored:
     """Blocks of an ensemble in a store, read on first use."""
 
-    def __init__(self, path: str, mark: str, ask: Ask, size: int) -> None:
-        self.path, self.mark, self._count, self._size = path, mark, ask.count, size
-        self._reduces = ask.setting.kept.reduce is not None or "keep" in ask.lacks
+    def __init__(self, path: str, mark: str, spec: EnsembleSpec, size: int) -> None:
+        self.path, self.mark, self._count, self._size = path, mark, spec.count, size
+        self._reduces = spec.common.output.reduce is not None or "keep" in spec.lacks
         self._there = store.there(path, mark, -(-self._count // size))
         self._read: dict[str, Array] = {}  # small arrays that were read
-        self._layout = work.layout(ask.setting, ask.rows)
+        self._layout = block.layout(spec.common, spec.rows)
 
-    def put(self, index: int, made: work.Block) -> None:
+    def put(self, index: int, made: block.Block) -> None:
         """Write a block, unless it was stopped."""
         if (made["status"] != lib.DAL_STOPPED).all():
             store.write(self.path, index, self.mark, made)
@@ -190,7 +190,7 @@ class Stored:
         ]  # fmt: skip
         return da.concatenate(parts)
 
-    def blocks(self) -> Iterator[tuple[int, work.Block]]:
+    def blocks(self) -> Iterator[tuple[int, block.Block]]:
         """Yield the first member of each block, and its arrays."""
         for index in self._there:
             made = store.read(self.path, index, self.mark)
@@ -222,7 +222,8 @@ class Ensemble(Mapping[str, Any]):
         The given parameters of each member.
     q0, v0 : ndarray, shape (K, n), or None
         The given initial data.
-    h, steps : ndarray, shape (K,)
+    h : ndarray, shape (K,), or str
+    steps : ndarray, shape (K,)
     t0 : float
     stride : int
         Number of steps between rows; 0 if only the end was kept.
@@ -230,46 +231,47 @@ class Ensemble(Mapping[str, Any]):
         Whether several members were advanced at once.
     """
 
-    def __init__(self, ask: Ask, data: Memory | Stored) -> None:
-        self._ask, self._data = ask, data
-        setting = ask.setting
-        self.system, self.scheme = setting.system, setting.scheme
-        self.shape, self.axes, self.ticks = ask.shape, ask.axes, ask.ticks
-        self.t0, self.stride, self.lanes = setting.t0, setting.stride, setting.lanes
+    def __init__(self, spec: EnsembleSpec, data: Memory | Stored) -> None:
+        self._spec, self._data = spec, data
+        common = spec.common
+        self.system, self.scheme = common.system, common.scheme
+        self.shape, self.axes, self.ticks = spec.shape, spec.axes, spec.ticks
+        self.t0, self.stride, self.lanes = common.options.t0, common.stride, common.lanes
+        self._varies = common.varies
 
     # ---- what was given ------------------------------------------------------------------------
 
-    def _of_members(self, given: Given) -> Array:
+    def _of_members(self, given: Broadcast) -> Array:
         rows = given.rows(self.shape, 0, len(self))
         return np.broadcast_to(rows, (len(self), *rows.shape[1:]))
 
     def __len__(self) -> int:
-        return self._ask.count
+        return self._spec.count
 
     @property
     def parameters(self) -> dict[str, Array]:
         """Values of the given parameters, shape (K,) each."""
-        return {name: self._of_members(x) for name, x in self._ask.parameters.items()}
+        return {name: self._of_members(x) for name, x in self._spec.parameters.items()}
 
     @property
     def q0(self) -> Array | None:
         """Initial positions, shape (K, n); None if they are the system's."""
-        return None if self._ask.q0 is None else self._of_members(self._ask.q0)
+        return None if self._spec.q0 is None else self._of_members(self._spec.q0)
 
     @property
     def v0(self) -> Array | None:
         """Initial velocities, shape (K, n); None if they are the system's."""
-        return None if self._ask.v0 is None else self._of_members(self._ask.v0)
+        return None if self._spec.v0 is None else self._of_members(self._spec.v0)
 
     @property
-    def h(self) -> Array:
-        """Step sizes, shape (K,)."""
-        return self._of_members(self._ask.h)
+    def h(self) -> Array | str:
+        """Step sizes, shape (K,), or the word for steps of variable size."""
+        return self._spec.common.options.h if self._varies else self._of_members(self._spec.h)
 
     @property
     def steps(self) -> Array:
-        """Requested numbers of steps, shape (K,)."""
-        return self._of_members(self._ask.steps)
+        """Requested numbers of steps, shape (K,); those taken if their size varies."""
+        return self["done"] if self._varies else self._of_members(self._spec.steps)
 
     # ---- what was made -------------------------------------------------------------------------
 
@@ -308,11 +310,11 @@ class Ensemble(Mapping[str, Any]):
     @property
     def t(self) -> Array:
         """Times of the rows, shape (rows,), or (K, rows) if step sizes differ; (K,) for the end."""
-        if self.stride == 0:
+        if self.stride == 0 or self._varies:
             return self["t_end"]  # type: ignore[no-any-return]
-        rows = np.arange(self._ask.rows) * self.stride
-        if not self._ask.h.varies:
-            return self.t0 + rows * float(self._ask.h.values.flat[0])
+        rows = np.arange(self._spec.rows) * self.stride
+        if not self._spec.h.varies:
+            return self.t0 + rows * float(self._spec.h.values.flat[0])
         return self.t0 + rows * self.h[:, None]
 
     @property
@@ -333,7 +335,7 @@ class Ensemble(Mapping[str, Any]):
     @property
     def stats(self) -> dict[str, Array]:
         """Counters of each member, by the names of `Statistics`, shape (K,) each."""
-        return {name: self[name] for name in work.STATISTICS}
+        return {name: self[name] for name in block.STATISTICS}
 
     def message(self, k: int | tuple[int, ...]) -> str:
         """Return the outcome of a member in words; ``k`` as for `member`."""
@@ -386,13 +388,13 @@ class Ensemble(Mapping[str, Any]):
         ValueError
             If its initial data or parameters are invalid, or there is no such member.
         """
-        if self._ask.lacks:
+        if self._spec.lacks:
             raise ValueError(
-                f"member({k}): this ensemble has {', '.join(self._ask.lacks)}, and a store "
+                f"member({k}): this ensemble has {', '.join(self._spec.lacks)}, and a store "
                 "cannot save functions; repeat dal.ensemble with the same arguments"
             )
         stride = self.stride or 1 if stride is None else stride
-        return work.member(self._ask, self._number(k), stride=stride, throw=throw)
+        return block.member(self._spec, self._number(k), stride=stride, throw=throw)
 
     def blocks(self) -> Iterator[tuple[int, dict[str, Array]]]:
         """Yield parts of the ensemble: the number of the first member, and the arrays by name.
@@ -455,7 +457,7 @@ class Ensemble(Mapping[str, Any]):
         }  # fmt: skip
         if name in (*_ALWAYS, "ended_by"):
             return ()
-        if self._ask.setting.kept.reduce is not None or "keep" in self._ask.lacks:
+        if self._spec.common.output.reduce is not None or "keep" in self._spec.lacks:
             return tuple(f"{name}_{k}" for k in range(count))
         names = (*(() if name == "happened" else rows), *known.get(name, ()))
         return names if len(names) == count else tuple(f"{name}_{k}" for k in range(count))

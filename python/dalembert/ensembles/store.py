@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from ..core import DalembertError, files
-from . import work
+from . import block
 
-VERSION = 2
+VERSION = 3
+_FORMAT = {"format": "dalembert ensemble", "version": VERSION}
 ABOUT = "ensemble.json"
 _GIVEN = re.compile(r"given-([0-9a-f]{12})-(.+)\.npy")  # for the members of a mark
 _BLOCK = re.compile(r"block-(\d{9})\.npz")
@@ -44,18 +45,8 @@ def create(
 ) -> dict[str, Any]:
     """Create a store, unless it exists, and return its description.
 
-    Parameters
-    ----------
-    directory : str
-    about : dict
-        Description of the ensemble, for JSON; "mark" identifies it.
-    given : dict of arrays
-        Values for the members.
-
-    Raises
-    ------
-    ValueError
-        If the directory has other files, or another ensemble.
+    In ``about``, data for JSON, "mark" identifies the ensemble; ``given`` are the values for
+    members.  A directory with other files, or with another ensemble, raises ValueError.
     """
     root = Path(directory)
     root.mkdir(parents=True, exist_ok=True)
@@ -69,14 +60,16 @@ def create(
                 )
         for name, x in given.items():
             _save(root / f"given-{mark[:12]}-{name}.npy", x)
-        text = json.dumps({"format": "dalembert ensemble", "version": VERSION, **about}, indent=1)
+        text = json.dumps({**_FORMAT, **about}, indent=1)
         with contextlib.suppress(FileExistsError):  # of a process that was first
             files.create(root / ABOUT, text.encode())
     found = read_about(directory)
     if found["mark"] != about["mark"]:
-        here = json.loads(json.dumps(about))
-        compared = here.keys() - {"mark", "block", "seal"}
-        differs = [key for key in here if key in compared and found.get(key) != here[key]]
+        here, found = ({**x, **x["options"]} for x in (json.loads(json.dumps(about)), found))
+        compared = dict.fromkeys((*here, *found))
+        for key in ("mark", "block", "seal", "options", *_FORMAT):
+            compared.pop(key, None)
+        differs = [key for key in compared if found.get(key) != here.get(key)]
         raise ValueError(
             f"store = {directory!r} belongs to another ensemble, which differs in "
             f"{', '.join(differs) or 'the arguments of the members'}"
@@ -144,14 +137,8 @@ def read_members(directory: str, mark: str) -> dict[str, np.ndarray]:
 # ---- blocks ------------------------------------------------------------------------------------
 
 
-def write(directory: str, index: int, mark: str, made: work.Block) -> None:
-    """Write a block of the ensemble with this mark.
-
-    Raises
-    ------
-    StoreError
-        If the store now belongs to another ensemble.
-    """
+def write(directory: str, index: int, mark: str, made: block.Block) -> None:
+    """Write a block, unless the store now belongs to another ensemble."""
     if read_about(directory)["mark"] != mark:
         raise StoreError(f"{directory} is no longer the store of this ensemble")
     messages = made["messages"]
@@ -163,13 +150,7 @@ def write(directory: str, index: int, mark: str, made: work.Block) -> None:
 
 
 def there(directory: str, mark: str, count: int) -> list[int]:
-    """Return the numbers of the blocks in the store.
-
-    Raises
-    ------
-    StoreError
-        If a file is not a block of this ensemble.
-    """
+    """Return the numbers of the blocks in the store; raise StoreError for a block of another."""
     found = []
     for path in sorted(Path(directory).iterdir()):
         match = _BLOCK.fullmatch(path.name)
@@ -179,14 +160,8 @@ def there(directory: str, mark: str, count: int) -> list[int]:
     return found
 
 
-def read(directory: str, index: int, mark: str) -> work.Block:
-    """Return a block.
-
-    Raises
-    ------
-    StoreError
-        If its file is damaged, or belongs to another ensemble.
-    """
+def read(directory: str, index: int, mark: str) -> block.Block:
+    """Return a block; raise StoreError if its file is damaged, or belongs to another ensemble."""
     path = _path(directory, index)
     arrays = _load(path)
     _require(path, arrays.pop("mark", None), mark, index)

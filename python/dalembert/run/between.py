@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import core
 from ..core import Array, lib
-from .steps import options_of
+from .options import in_c
 
 
 def fill(run: Any, times: Array, x: Array) -> None:
@@ -36,7 +36,7 @@ def fill(run: Any, times: Array, x: Array) -> None:
         )
     record, kept = run.scheme._record_of(run.system)
     stepper = core.make(
-        "stepper", run.system._handle, record, options_of(run.control),
+        "stepper", run.system._handle, record, in_c(run.control),
         owner=(run.system._handle, kept),
     )  # fmt: skip
     changes = _changes(run, known)

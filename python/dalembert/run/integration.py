@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import sys
 import threading
 import warnings
@@ -21,162 +20,29 @@ from ..core import (
     DalembertWarning,
     arguments,
     extras,
-    ffi,
     lib,
-    require_system,
 )
-from ..core.extras import Progress
 from ..core.memory import available_memory
+from ..core.records import takes
 from ..system import System
 from .events import CONSISTENCY, Watch
-from .events import take as take_events
 from .journal import Journal, describe
 from .laws import take_inputs
-from .options import kind_of, require, word_of
+from .options import IntegrateOptions, ResumeOptions, in_c, kind_of
 from .runs import Run, first_inputs, idle_steppers, started_stepper
 from .scheme import Scheme
 from .solution import Solution, rank_doubt
-from .steps import Steps, options_of
+from .steps import Steps
 from .taylor import SeriesRun, require_supported
 
 
-def integrate(
-    system: System,
-    scheme: Scheme | str | float | None = None,
-    q0: ArrayLike | None = None,
-    v0: ArrayLike | None = None,
-    *,
-    h: float | str,
-    t_end: float | None = None,
-    steps: int | None = None,
-    t0: float = 0.0,
-    stride: int | None = None,
-    consistent: str = "check",
-    initial: str | None = None,
-    observer: Callable[[int, float, Array, Array], Any] | None = None,
-    progress: Progress = False,
-    throw: bool = True,
-    max_iterations: int | None = None,
-    energy: str | None = None,
-    method: str | None = None,
-    tolerance: float | None = None,
-    h_max: float | None = None,
-    eps: float | None = None,
-    inputs: Any = None,
-    hold: float | None = None,
-    events: Any = (),
-    t_eval: ArrayLike | None = None,
-    journal: str | os.PathLike[str] | None = None,
-    journal_errors: str | None = None,
-    check_h: bool | None = None,
-) -> Solution:
+@takes(IntegrateOptions)
+def integrate(*args: Any, **given: Any) -> Solution:
     """Integrate a system with steps of fixed, error-controlled or reversible size.
 
     Parameters
     ----------
-    system : System
-    scheme : Scheme, str or float, optional
-        A scheme, its name, or beta.  "reference" is the adaptive flow of the ODE on D, observed
-        every ``h * stride``: the best choice for short accurate runs.  Default: the cheapest scheme
-        of order 2.  It is "midpoint" if the mass matrix depends on q, the constraints are affine or
-        nonlinear, or a force depends on v; otherwise "leapfrog".  With ``h="auto"`` it is
-        "midpoint-kl8" or "leapfrog-kl8", with ``h="reversible"`` "bm6".
-    q0, v0 : array_like, shape (n,), optional
-        Initial data in the user's units; pass both or neither.  Default: the system's initial data.
-    h : float, "auto" or "reversible"
-        Step size; negative to integrate backwards.  A number is never changed.
-
-        "auto": each step is as long as ``tolerance`` allows.  The estimate of its error costs no
-        evaluation.  Requires a composition of moved nodes.  Use it if the time scale of the motion
-        varies.
-
-        "reversible": the step follows the time scale of the motion and is chosen symmetrically in
-        time.  The energy of a reversible system then does not drift.  Use it for repeated close
-        approaches over long times only.  Requires a symmetric composition and constant mass,
-        without forces, inputs or dependence on time.  The run warns if irreversible steps changed
-        the energy by more than 1e-6 of the largest kinetic energy.
-    t_end : float
-        End time.  ``(t_end - t0) / h`` has to be an integer, to a relative 1e-9.  If h is a word,
-        the last step ends exactly at t_end.
-    steps : int
-        Number of steps, 0 is allowed.  Pass exactly one of t_end and steps; t_end if h is a word.
-    t0 : float, optional
-        Initial time.
-    stride : int, optional
-        Store every stride-th state; default 1.  The number of steps has to be a multiple of it.  If
-        h is a word, the last state is always stored.
-    consistent : {"check", "project", "assume"}, optional
-        The treatment of a v0 that violates the constraint: raise an error (default), project it in
-        the mass metric, or use it unchanged.
-    initial : {"D", "D_eps", "project", "shift"}, optional
-        The meaning of the initial data; required for kept nodes, and allowed only there.  "D": the
-        data lie in D and are used unchanged; the first step jumps to D_eps.  "D_eps": the data lie
-        in D_eps.  "project": project the velocity from D onto D_eps.  "shift": move q to the node q
-        + (1 - beta) h v.  The run is then that of the moved nodes, observed at the nodes.
-    observer : callable, optional
-        ``observer(step, t, q, v)`` is called at every stored state; a true result stops the run.
-    progress : bool or callable, optional
-        True: show a tqdm bar.  A function is called as ``progress(done, total)`` several times a
-        second, with numbers of steps, or with times if h is a word.  While h is checked the total
-        includes the repeated steps.
-    throw : bool, optional
-        False: if a step fails, return the states so far instead of raising; ``status`` and
-        ``message`` of the Solution have the error.
-    max_iterations : int, optional
-        Largest number of full Newton iterations in a sub-step; default 50.  Not for "reference".
-    energy : {"keep"}, optional
-        "keep": conserve the energy to roundoff by scaling the velocity before and after each step,
-        within D.  A run takes twice as long.  Steps of h/2 without it are closer to the exact
-        motion, so use it only if the energy itself matters over long times.  Requires a symmetric
-        scheme (leapfrog, midpoint, their compositions, bm4, bm6), constraints linear in v, and a
-        system without forces or dependence on time.
-    method : {"rk8pd", "msadams", "rodas", "taylor"}, optional
-        Method of the reference flow; default "rk8pd".  "taylor" uses Taylor series, which heyoka
-        compiles (``pip install heyoka``).  It requires a system from expressions, without events,
-        inputs or journal.
-    tolerance : float, optional
-        For "reference": relative and absolute tolerance of each step, in [4.4e-16, 0.1]; default
-        1e-13.  For "auto": the admissible error of the state at t = 100, relative to
-        ``1 + abs(x_i)``, if the motion is not chaotic; default 1e-9.
-    h_max : float, optional
-        For "auto": the longest step.
-    eps : float, optional
-        For "reversible": the step in units of the time scale of the motion, at most 0.2.  Default:
-        the value of the scheme, 0.13 for bm6.
-    inputs : array_like, mapping or callable, optional
-        Inputs of a system that has k of them, constant over a step.  Default: 0.  ``run.inputs``
-        returns them.
-
-        - An array of shape (steps, k), or (k,) for all steps.
-        - A mapping from names to numbers or arrays of shape (steps,).
-        - A controller ``inputs(t, q, v) -> (k,)``, called at the beginning of each hold.
-        - A mapping from names to expressions of time, coordinates, velocities and parameters,
-          ``{tau: -K * x}``.  They are compiled, and evaluated like a controller.
-
-        If the constraints depend on inputs, v0 has to satisfy them with the first inputs.  A change
-        of the inputs then moves the velocity into the new D, as an impact does.
-    hold : int or float, optional
-        Number of steps for which a row of inputs applies; default 1.  An array has ceil(steps /
-        hold) rows.  With "auto", hold is a time, and steps end when the inputs change.  An array
-        then has ceil((t_end - t0) / hold) rows; default: one row for the whole run.
-    events : sequence, optional
-        Events: functions ``g(t, q, v)``, expressions, or `Event`.  An event happens when g changes
-        sign.  Functions may have the attributes ``terminal``, ``direction``, ``reset`` and
-        ``consistent``.
-    t_eval : array_like, shape (N,), optional
-        Times at which states are stored, in the order of the run, instead of every stride-th state.
-        Steps of the scheme lead to these states: they have its order and lie in the set that it
-        preserves.
-    journal : str or path, optional
-        A new file for the results.  Stored states are written several times a second, and every
-        five seconds a snapshot.  After a crash, `load` returns the states in the file, and `resume`
-        continues the run with bitwise identical results.
-    journal_errors : {"warn", "stop"}, optional
-        The response if the journal cannot be written, for example on a full disk: continue without
-        it and warn (default), or raise `JournalError`.
-    check_h : bool, optional
-        True (default for steps of fixed size): estimate the error of the last state, and warn if h
-        is too large.  Use False for statistics of a chaotic motion, whose error is always large.
+    {options}
 
     Returns
     -------
@@ -231,84 +97,56 @@ def integrate(
     >>> bool(run.residual.max() < 1e-15)
     True
     """
-    require_system(system)
-    t0 = arguments.number(t0, "t0")
-    word = word_of(h)
-    record = Scheme.usual(system, word) if scheme is None else Scheme.of(scheme)
-    require(
-        kind_of(record, word, method), steps=steps, stride=stride, initial=initial,
-        observer=observer, max_iterations=max_iterations, energy=energy, method=method,
-        tolerance=tolerance, h_max=h_max, eps=eps, inputs=inputs, hold=hold, events=events,
-        t_eval=t_eval, journal=journal, journal_errors=journal_errors,
-        check_h=check_h or None,  # what is not checked anyway need not be
-    )  # fmt: skip
-    sizes = Steps.of(h, t0, t_end, steps, tolerance, h_max, eps).by(record)
-    varies = sizes.varies
-    stride = 1 if stride is None else arguments.integer(stride, "stride", 1)
-    if not varies and sizes.count % stride:
+    asked = IntegrateOptions.of("integrate", args, given).read()
+    system, scheme, sizes = asked.system, asked.scheme, Steps.of(asked)
+    assert isinstance(scheme, Scheme)
+    stride = 1 if asked.stride is None else asked.stride
+    if not sizes.varies and sizes.count % stride:
+        less = sizes.count - sizes.count % stride
         raise ValueError(
-            f"steps = {sizes.count}: expected a multiple of stride = {stride}, "
-            f"{sizes.count - sizes.count % stride} or {sizes.count - sizes.count % stride + stride}"
+            f"steps = {sizes.count}: expected a multiple of stride = {stride}, {less} or "
+            f"{less + stride}"
         )
-    consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
-    check_h = arguments.truth(check_h, "check_h", True)
-    start = record._initial(initial)
-    options = options_of(sizes.control, max_iterations, energy)
-    chosen = record if varies else with_method(record, method, tolerance)
+    chosen = with_method(scheme, asked.method, None if sizes.varies else asked.tolerance)
     if chosen.is_series:
         require_supported(system)
-    x0 = geometry.initial_state(system, q0, v0)
-    doubt_start(system, x0, t0, consistency)
-    listed = take_events(events)
-    times = None if t_eval is None else _times(t_eval, sizes)
-    inputs = take_inputs(system, inputs)
-    hold = sizes.hold(hold, inputs)
-    arguments.function(observer, "observer", "step, t, q, v")
+    x0 = geometry.initial_state(system, asked.q0, asked.v0)
+    consistency = CONSISTENCY[asked.consistent]
+    doubt_start(system, x0, asked.t0, consistency)
+    times = None if asked.t_eval is None else _times(asked.t_eval, sizes)
+    inputs = take_inputs(system, asked.inputs)
+    hold = sizes.hold(asked.hold, inputs)
     if callable(inputs):
         arguments.function(inputs, "inputs", "t, q, v")
-    if not varies:
+    if not sizes.varies:
         rows = sizes.count // stride if times is None else len(times)
         _require_memory(system, rows, sizes.count, stride)
 
-    first = first_inputs(system, inputs, sizes.holds(hold), x0, t0)
+    first = first_inputs(system, inputs, sizes.holds(hold), x0, asked.t0)
     of_series = chosen.is_series  # which have no stepper, but of C's flow their initial data
-    starter = Scheme.find("reference") if of_series else chosen
-    idle = idle_steppers(system, starter, options)
+    starter, of_c = Scheme.find("reference") if of_series else chosen, in_c(asked.of_c)
+    idle = idle_steppers(system, starter, of_c)
     stepper = started_stepper(
-        system, starter, x0, t0=t0, h=sizes.first, consistency=consistency, initial=start,
-        options=options, idle=idle, inputs=first,
+        system, starter, x0, t0=asked.t0, h=sizes.first, consistency=consistency,
+        initial=scheme._initial(asked.initial), options=of_c, idle=idle, inputs=first,
     )  # fmt: skip
 
     def begin(run: Run) -> None:
-        if journal is not None:
-            about = describe(system, chosen, run, options.max_iterations, energy)
-            run.journal = Journal.create(journal, run, chosen, about, journal_errors)
+        if asked.journal is not None:
+            about = describe(system, chosen, run, asked.of_c)
+            run.journal = Journal.create(asked.journal, run, chosen, about, asked.journal_errors)
 
     solution = _make(
-        begin, progress, throw, system, chosen if of_series else record, stepper, steps=sizes,
-        stride=stride, observer=observer, inputs=inputs, hold=hold, first=first,
-        watch=Watch.of(system, stepper, starter, listed, times),
-        check_h=check_h,
+        begin, asked, system, chosen if of_series else scheme, stepper, steps=sizes,
+        stride=stride, inputs=inputs, hold=hold, first=first,
+        watch=Watch.of(system, stepper, starter, asked.events, times),
     )  # fmt: skip
     idle.append(stepper)
     return solution
 
 
-def resume(
-    path: str | os.PathLike[str],
-    system: System | None = None,
-    *,
-    t_end: float | None = None,
-    steps: int | None = None,
-    scheme: Scheme | None = None,
-    observer: Callable[[int, float, Array, Array], Any] | None = None,
-    progress: Progress = False,
-    throw: bool = True,
-    inputs: Any = None,
-    events: Any = (),
-    journal_errors: str | None = None,
-    check_h: bool | None = None,
-) -> Solution:
+@takes(ResumeOptions)
+def resume(*args: Any, **given: Any) -> Solution:
     """Resume a run from its journal; the result is bitwise identical to an uninterrupted run.
 
     Scheme, step size and output times are those of the journal.  Pass functions again.  States
@@ -319,17 +157,7 @@ def resume(
 
     Parameters
     ----------
-    path : str or path
-        The journal.
-    system : System, optional
-        The system of the run; not needed if it comes with the library.
-    t_end, steps : float, int, optional
-        A new end time of the whole run, or a new number of its steps.
-    scheme : Scheme, optional
-        The scheme of the run; required if it is not a scheme of the library.
-    observer, progress, throw, inputs, events, journal_errors, check_h : optional
-        As for `integrate`.  Pass the inputs and events of the whole run again, if it has any.  The
-        expressions of inputs have to be the same.
+    {options}
 
     Returns
     -------
@@ -364,51 +192,44 @@ def resume(
     >>> bool((longer.x == whole.x).all())
     True
     """
-    journal = Journal.open(path, writes=True, errors=journal_errors)
+    asked = ResumeOptions.of("resume", args, given)
+    journal = Journal.open(asked.path, writes=True, errors=asked.journal_errors)
     about, stride = journal.about, int(journal.info.stride)
-    system, record = journal.system(system), journal.scheme(scheme)
-    arguments.function(observer, "observer", "step, t, q, v")
-    require(
-        kind_of(record, about["control"].get("h")), steps=steps, inputs=inputs, events=events,
-        check_h=check_h or None,
-    )  # fmt: skip
-    check_h = arguments.truth(check_h, "check_h", True)
-    sizes = journal.steps(t_end, steps)
+    system, record = journal.system(asked.system), journal.scheme(asked.scheme)
+    read = asked.taken(kind_of(record, about["control"].get("h")), journal=journal)
+    sizes = journal.steps(read.t_end, read.steps)
     if not sizes.varies and sizes.count % stride:
         raise ValueError(f"steps = {sizes.count}: expected a multiple of stride = {stride}")
-    listed = take_events(events)
-    inputs = take_inputs(system, inputs)
+    inputs = take_inputs(system, read.inputs)
     journal.require_law(system, inputs)
     if about["inputs"] and inputs is None:
         raise ValueError(
             f"inputs is missing: the run of {journal.path} has inputs, so pass the same"
         )
-    options = options_of(sizes.control, about["max_iterations"], about.get("energy"))
     c_record, kept = record._record_of(system)
-    stepper = core.make("stepper", system._handle, c_record, options, owner=(system._handle, kept))
-    times = journal.times()
+    stepper = core.make(
+        "stepper", system._handle, c_record, in_c({**about, **sizes.control}),
+        owner=(system._handle, kept),
+    )  # fmt: skip
     return _make(
-        journal.resume, progress, throw, system, record, stepper, steps=sizes, stride=stride,
-        observer=observer, inputs=inputs, hold=about["hold"],
-        watch=Watch.of(system, stepper, record, listed, times),
-        check_h=check_h,
+        journal.resume, read, system, record, stepper, steps=sizes, stride=stride, inputs=inputs,
+        hold=about["hold"], watch=Watch.of(system, stepper, record, read.events, journal.times()),
     )  # fmt: skip
 
 
-def _make(
-    begin: Callable[[Run], None], progress: Progress, throw: bool, *of: Any, **how: Any
-) -> Solution:
+def _make(begin: Callable[[Run], None], asked: Any, *of: Any, **how: Any) -> Solution:
     """Return the solution of a `Run`, or raise its error with the solution so far."""
-    with extras.progress(progress, *how["steps"].progress) as show:
+    with extras.progress(asked.progress, *how["steps"].progress) as show:
         made = SeriesRun if of[1].is_series else Run
-        run = made(*of, show=show, **how)
+        unchecked = asked.check_h is False
+        run = made(*of, show=show, observer=asked.observer, check_h=not unchecked, **how)
         begin(run)
         run.make()
     solution, error = run.solution(), run.error
     if error is None:
         _warn(solution, run.watch)
         _warn_of_drift(solution)
-    elif throw or not isinstance(error, DalembertError):
+    elif asked.throw or not isinstance(error, DalembertError):
         with contextlib.suppress(AttributeError, TypeError):
             error.partial = solution  # type: ignore[attr-defined]
         try:

@@ -19,13 +19,13 @@ from ..core import Array, DalembertError, DalembertWarning, arguments, ffi, lib
 from ..system import System
 from .events import Happened, split
 from .laws import Inputs, Law
+from .options import JOURNAL_ERRORS
 from .runs import Run
 from .scheme import Scheme
 from .solution import Solution, Statistics
 from .steps import MOST, Steps, number_of_steps
 
 SECONDS = 5.0  # from snapshot to snapshot
-ERRORS = {"stop": 0, "warn": 1}
 _CLOSE = 1e-6  # of the field that another machine computes, relative to its largest component
 
 
@@ -33,7 +33,7 @@ _CLOSE = 1e-6  # of the field that another machine computes, relative to its lar
 
 
 def describe(
-    system: System, scheme: Scheme, run: Run, max_iterations: int, energy: str | None
+    system: System, scheme: Scheme, run: Run, options: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return data for JSON that define a run, to repeat it or compare it with another."""
     times = None if run.watch is None else run.watch.times
@@ -41,8 +41,7 @@ def describe(
         "dalembert": core.version(),
         "system": of_system(system, run.x[0], run.t0),
         "scheme": scheme._data(),
-        "max_iterations": max_iterations,
-        "energy": energy,
+        **options,
         "inputs": run.inputs is not None,
         "law": None if run.law is None else run.law.about(system),
         "hold": run.hold,
@@ -351,7 +350,7 @@ class Journal:
 
 def _goes_on(errors: str | None) -> int:
     """Return whether a run continues if its journal cannot be written, as by default."""
-    return 1 if errors is None else arguments.choice(errors, "journal_errors", ERRORS)
+    return 1 if errors is None else arguments.choice(errors, "journal_errors", JOURNAL_ERRORS)
 
 
 def _name(path: Any) -> str | bytes:

@@ -341,13 +341,7 @@ class Scheme:
         return float(shift[0]) * arguments.number(h, "h")
 
     def _initial(self, name: str | None) -> int:
-        """Return the ``dal_initial`` of an argument ``initial``, which kept nodes require.
-
-        Raises
-        ------
-        ValueError
-            If it is missing, or not one of the four.
-        """
+        """Return the ``dal_initial`` of an argument ``initial``, which kept nodes require."""
         if self.nodes == "moved":
             return int(lib.DAL_INITIAL_NONE)
         if name is None:

@@ -3,42 +3,38 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry
-from ..core import Array, arguments, ffi, lib, require_system
+from ..core import Array, arguments, ffi, lib
 from ..core.errors import raised
-from ..system import System
+from ..core.records import documents, method
 from .events import CONSISTENCY
 from .integration import doubt_start, with_method
-from .options import kind_of, require, word_of
-from .runs import one_row, started_stepper
+from .options import StepperOptions, in_c
 from .scheme import Scheme
+from .runs import one_row, started_stepper
 from .solution import Statistics, counts_of
-from .steps import control_of, how, options_of, with_eps
+from .steps import how
 
 _double = np.dtype(np.float64)
 
 
+@documents(StepperOptions)
 class Stepper:
     """A system, a scheme and a current state, advanced step by step.
 
     The states are bitwise those of `integrate`.  Use a stepper in one thread at a time.
 
+    With "auto" and "reversible" the time increases, each step has its own size, and `until` leads
+    to a time.
+
     Parameters
     ----------
-    system, scheme, q0, v0, t0, consistent, initial, max_iterations, energy
-        As for `integrate`.
-    h, tolerance, h_max, eps : float or str, float, float, float
-        As for `integrate`.  With "auto" and "reversible" the time increases, each step has its own
-        size, and `until` leads to a time.
-    inputs : array_like, shape (k,), or mapping, optional
-        Initial inputs, by default 0; `step` may change them.  If the constraints depend on inputs,
-        v0 has to satisfy them with these.
+    {options}
 
     Attributes
     ----------
@@ -63,50 +59,21 @@ class Stepper:
     array([1.])
     """
 
-    def __init__(
-        self,
-        system: System,
-        scheme: Scheme | str | float | None = None,
-        q0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        *,
-        h: float | str,
-        t0: float = 0.0,
-        tolerance: float | None = None,
-        h_max: float | None = None,
-        eps: float | None = None,
-        consistent: str = "check",
-        initial: str | None = None,
-        max_iterations: int | None = None,
-        energy: str | None = None,
-        inputs: Any = None,
-    ) -> None:
-        require_system(system)
-        self.system = system
-        word = word_of(h)
-        self.scheme = Scheme.usual(system, word) if scheme is None else Scheme.of(scheme)
-        self._t0 = arguments.number(t0, "t0")
-        require(
-            kind_of(self.scheme, word), initial=initial, max_iterations=max_iterations,
-            energy=energy, tolerance=tolerance, h_max=h_max, eps=eps,
-        )  # fmt: skip
-        self._control: Mapping[str, Any] = {}
-        self._first = math.inf
-        if self.scheme.is_reference and tolerance is not None:
-            self.scheme = with_method(self.scheme, None, tolerance)
-        if word is None:
-            self._first = arguments.step_size(h, self._t0)
-        else:
-            self._control = with_eps(control_of(word, tolerance, h_max, eps), self.scheme)
-        self._how = (
-            arguments.choice(consistent, "consistent", CONSISTENCY), self.scheme._initial(initial)
-        )  # fmt: skip
-        options = options_of(self._control, max_iterations, energy)
-        self._x0 = geometry.initial_state(system, q0, v0)
-        self._u0 = arguments.inputs(inputs, system.inputs, 1)[0].copy()
+    @method(StepperOptions)
+    def __init__(self, *args: Any, **given: Any) -> None:
+        asked = StepperOptions.of("Stepper", args, given).read()
+        system, scheme = asked.system, asked.scheme
+        self._t0, self._control = asked.t0, asked.control
+        assert isinstance(scheme, Scheme)
+        self.system, varies = system, bool(self._control)
+        self.scheme = scheme if varies else with_method(scheme, None, asked.tolerance)
+        self._first = math.inf if varies else arguments.step_size(asked.h, self._t0)
+        self._how = CONSISTENCY[asked.consistent], scheme._initial(asked.initial)
+        self._x0 = geometry.initial_state(system, asked.q0, asked.v0)
+        self._u0 = arguments.inputs(asked.inputs, system.inputs, 1)[0].copy()
         self._handle = started_stepper(
             system, self.scheme, self._x0, t0=self._t0, h=self._first, consistency=self._how[0],
-            initial=self._how[1], options=options, inputs=self._u0,
+            initial=self._how[1], options=in_c(asked.of_c), inputs=self._u0,
         )  # fmt: skip
         doubt_start(system, self._x0, self._t0, self._how[0])
         self._u = self._u0.copy()

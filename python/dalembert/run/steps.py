@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-from .. import core
-from ..core import arguments, ffi, lib
+from ..core import arguments
 from .laws import is_control
-from .scheme import Scheme
 
 MOST = 2**62  # steps, where nobody knows how many they will be
-TOLERANCE = 1e-9
-ITERATIONS = 50  # of Newton in a sub-step, unless the user gives another number
 
 
 @dataclass(frozen=True)
@@ -40,25 +35,20 @@ class Steps:
     control: Mapping[str, Any]
 
     @classmethod
-    def of(
-        cls, h: Any, t0: float, t_end: Any, steps: Any, tolerance: Any, h_max: Any, eps: Any
-    ) -> Steps:
-        """Return the steps defined by arguments of `integrate`, which apply to its kind of run."""
-        if not isinstance(h, str):
-            h = arguments.step_size(h, t0)
-            count = number_of_steps(t0, h, t_end, steps)
+    def of(cls, asked: Any) -> Steps:
+        """Return the steps that the options of a run define."""
+        t0, t_end, control = asked.t0, asked.t_end, asked.control
+        if not control:
+            h = arguments.step_size(asked.h, t0)
+            count = number_of_steps(t0, h, t_end, asked.steps)
             return cls(t0, t0 + count * h, h, count, {})
         if t_end is None:
-            raise ValueError(f"t_end is missing: with h = {h!r} the number of steps is not known")
-        control = control_of(h, tolerance, h_max, eps)
-        t_end = arguments.number(t_end, "t_end")
+            raise ValueError(
+                f"t_end is missing: with h = {asked.h!r} the number of steps is not known"
+            )
         if abs(t_end - t0) / control.get("h_max", math.inf) > 2.0**53:  # steps of roundoff
-            raise ValueError(f"h_max = {h_max!r} is too small for t_end - t0 = {t_end - t0:g}")
+            raise ValueError(f"h_max = {asked.h_max} is too small for t_end - t0 = {t_end - t0:g}")
         return cls(t0, t_end, math.nan, MOST, control)
-
-    def by(self, record: Scheme) -> Steps:
-        """Return the steps with the default eps of a scheme, if they are reversible."""
-        return replace(self, control=with_eps(self.control, record))
 
     @property
     def varies(self) -> bool:
@@ -113,52 +103,12 @@ class Steps:
         return (abs(self.t_end - self.t0), "t") if self.varies else (self.count, "step")
 
 
-def control_of(h: str, tolerance: Any, h_max: Any, eps: Any) -> dict[str, Any]:
-    """Return the control of steps whose size varies: the word h, and its numbers."""
-    control: dict[str, Any] = {"h": h}
-    if h == "auto":
-        control["tolerance"] = TOLERANCE if tolerance is None else tolerance
-    for name, given in (("h_max", h_max), ("eps", eps)):
-        if given is not None:
-            control[name] = given
-    for name in control.keys() - {"h"}:
-        value = arguments.number(control[name], name)
-        if not value > 0.0:  # C looks at its size; 0 is none there
-            raise ValueError(f"{name} = {control[name]!r}: expected a positive number")
-        control[name] = value
-    return control
-
-
-def with_eps(control: Mapping[str, Any], record: Scheme) -> Mapping[str, Any]:
-    """Return a control with the default eps of a scheme, if its steps are reversible."""
-    if control.get("h") != "reversible" or "eps" in control:
-        return control
-    eps, error = ffi.new("double *"), ffi.new("dal_error *")
-    core.verify(lib.dal_scheme_eps(record._record, eps, error), error)
-    return {**control, "eps": eps[0]}
-
-
 def how(h: float, control: Mapping[str, Any]) -> str:
     """Return the step size, or its control, in words."""
     if not control:
         return f"h = {h:g}"
     numbers = [f"{key} = {x:g}" for key, x in control.items() if key != "h"]
     return ", ".join([f"h = {control['h']!r}", *numbers])
-
-
-def options_of(control: Mapping[str, Any], max_iterations: Any = None, energy: Any = None) -> Any:
-    """Return the shared, read-only ``dal_options`` of a stepper."""
-    most = ITERATIONS
-    if max_iterations is not None:
-        most = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
-    keep = energy is not None and arguments.choice(energy, "energy", {"keep": 1})
-    return _options(most, keep, tuple(control.items()))
-
-
-@functools.lru_cache(maxsize=64)
-def _options(most: int, keep: int, control: tuple[tuple[str, Any], ...]) -> Any:
-    given = {key: x for key, x in control if key != "h"}
-    return ffi.new("dal_options *", {"max_iterations": most, "keep_energy": keep, **given})
 
 
 def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None) -> int:

@@ -159,13 +159,7 @@ def _level(tolerance: float, x: Array) -> float:
 def _legs(
     system: System, x: Array, t: float, times: Array, tolerance: float
 ) -> Iterator[tuple[Array, int]]:
-    """Yield rows at the given times, from x at t, not yet in D, with the number of steps.
-
-    Raises
-    ------
-    DalembertError
-        After the last row that was computed.
-    """
+    """Yield rows at the given times, from x at t, not yet in D, with the number of steps."""
     done = steps = 0
     level = _level(tolerance, x)
     while done < len(times):
@@ -187,15 +181,7 @@ def _legs(
 
 
 def require_supported(system: System, **given: Any) -> None:
-    """Raise an exception for a system without expressions, or for unsupported arguments.
-
-    Raises
-    ------
-    ValueError
-        If the system has no expressions.
-    NotImplementedError
-        If one of ``given`` is incompatible with Taylor series.
-    """
+    """Raise an exception for a system without expressions, or for unsupported arguments."""
     if system._model is None:
         raise ValueError(
             f"method = 'taylor': the system {system.name!r} has no expressions to "
@@ -274,13 +260,7 @@ class SeriesRun:
             self.show(self._step())
 
     def _store(self, rows: Array) -> bool:
-        """Project rows to D and store them; return whether the observer stops the run.
-
-        Raises
-        ------
-        DalembertError
-            If a row cannot be projected.
-        """
+        """Project rows to D and store them; return whether the observer stops the run."""
         begin, n = self.done, self.system.n
         if len(rows) == 0:
             return False

@@ -91,7 +91,7 @@ def convergence(
     require_system(system)
     record = Scheme.usual(system) if scheme is None else Scheme.of(scheme)
     t0 = arguments.number(t0, "t0")
-    require(kind_of(record), initial=initial)
+    require(kind_of(record), {"initial": initial})
     if tolerance is not None and not _has_flow(system, record, t0):
         raise ValueError(
             f"tolerance = {arguments.shown(tolerance)}: not used, because errors are "

@@ -23,8 +23,10 @@ from ..core import (
     pointers,
 )
 from ..core.functions import Function, OfPoint, OfState
+from ..core.records import options_of
 from ..symbolic import evaluation, given
 from . import sparsity
+from .definition import About, SystemOptions
 
 _MOST_COORDINATES = 10_000  # of dense matrices: n^2 numbers each, n^3 operations in a step
 _MOST_OF_ALL = 10_000_000  # with a sparsity
@@ -222,26 +224,27 @@ class CFunctions(Functions):
         return Made(handle, exact, self.invariants, exact is not None)
 
 
-def functions(given: dict[str, Any]) -> Functions:
+def functions(given: SystemOptions) -> Functions:
     """Return the source of a system of functions, see `dalembert.System`, or raise ValueError."""
-    invariants, mass, n, m = (given[key] for key in ("invariants", "mass", "n", "m"))
-    by_name = {key: given[key] for key in core.functions.FUNCTIONS}
+    values, invariants = vars(given), given.invariants
+    mass, n, m = given.mass, given.n, given.m
+    by_name = {key: values[key] for key in core.functions.FUNCTIONS}
     require_named(invariants)
-    driven = bool(given["driven"])
+    driven = bool(given.driven)
     compiled = _compiled(by_name, driven)
-    inputs = _input_names(given["inputs"], by_name["force"], driven)
+    inputs = _input_names(given.inputs, by_name["force"], driven)
     if driven and not inputs:
         raise ValueError("driven = True: expected inputs= as well, on which the constraints depend")
     if driven and by_name["forms"] is None and by_name["constraint"] is None:
         raise ValueError("driven = True: expected constraints")
-    timed = bool(given["time_dependent"])
+    timed = bool(given.time_dependent)
     for key, function in {**by_name, **(invariants or {})}.items():
         if function is not None and key in core.functions.OF_TIME and not timed:
             raise ValueError(f"{key} is given: expected time_dependent=True as well")
         if key not in compiled:
             taken = core.functions.taken(key, len(inputs), timed, driven)
             arguments.function(function, key, taken)
-    for_c = {key: given[key] for key in ("kind", "missing", "ctx")}
+    for_c = {key: values[key] for key in ("kind", "missing", "ctx")}
     if compiled:
         _require_compiled(by_name, compiled, mass, m)
     else:
@@ -252,20 +255,20 @@ def functions(given: dict[str, Any]) -> Functions:
                     f"{key} = {arguments.shown(value)}: expected C functions, because Python "
                     "functions do not use it"
                 )
-    arguments.pair(given["q0"], given["v0"], ("q0", "v0"))
-    sparse = given["sparsity"] is not None
+    arguments.pair(given.q0, given.v0, ("q0", "v0"))
+    sparse = given.sparsity is not None
     most = _MOST_OF_ALL if sparse else _MOST_COORDINATES
-    matrix, names = _mass_and_names(mass, n, given["coordinates"], given["q0"], most)
+    matrix, names = _mass_and_names(mass, n, given.coordinates, given.q0, most)
     size, state = len(names), None
-    pattern = sparsity.read(given["sparsity"], size, m) if sparse else None
-    positional = bool(given["positional"])
+    pattern = sparsity.read(given.sparsity, size, m) if sparse else None
+    positional = bool(given.positional)
     if positional and by_name["force"] is None:
         raise ValueError("positional = True: expected a force")
     if pattern is not None:
         _require_linear(by_name, bool(compiled))
         m = pattern.m
-    if given["q0"] is not None:
-        both = (arguments.array(given[key], key, (size,)) for key in ("q0", "v0"))
+    if given.q0 is not None:
+        both = (arguments.array(values[key], key, (size,)) for key in ("q0", "v0"))
         state = np.concatenate([*both])
     if compiled:
         m = arguments.integer(0 if m is None else m, "m", 0)
@@ -273,11 +276,11 @@ def functions(given: dict[str, Any]) -> Functions:
         functions = by_name["forms"], by_name["constraint"]
         last = (np.zeros(len(inputs)),) if driven else ()
         m = _number_of_constraints(*functions, m, size, state, timed, last)
-    about = {key: given[key] for key in ("name", "help", "description", "source")}
-    lines = arguments.names(given["formulas"], "formulas", "several lines")
+    about = {key: values[key] for key in options_of(About)}
+    lines = arguments.names(given.formulas, "formulas", "several lines")
     about["formulas"] = "\n".join(lines)
     own = dict(invariants or {})
-    steady = given["steady"]
+    steady = given.steady
     common = (
         by_name, matrix, size, m, about, names, state, own, steady, inputs, timed, positional,
         pattern, driven,

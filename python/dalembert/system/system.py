@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry, growth, symbolic
-from ..core import KINDS, Array, Handle, Pair, arguments, extras, lib
-from ..core.functions import OfPoint, OfState, OfTime, OfTimeTwo
+from ..core import KINDS, Handle, Pair, arguments, extras, lib
 from ..core.documentation import Common
 from ..core.extras import Progress
+from ..core.functions import OfState, OfTime
+from ..core.records import documents, method, options_of
 from ..geometry import Check, examine
 from ..geometry.mechanics import Documented
 from . import sources
+from .definition import About, SympyOptions, SystemOptions
 from .sources import Source
 
 
 CLOSE = 1e-6  # of position constraints: what is nearer satisfies them
 
 
+@documents(SystemOptions)
 class System(Handle):
     """A mechanical system with velocity constraints, defined by functions.
 
@@ -36,97 +39,7 @@ class System(Handle):
 
     Parameters
     ----------
-    mass : array_like, shape (n, n), (n,) or ()
-        The mass matrix M, its diagonal, or one mass for all coordinates; M is symmetric and
-        positive definite.  Pass either ``mass`` or ``lagrangian``.
-    forms : callable, optional
-        ``forms(q) -> (m, n)``: mu(q), one row for each constraint.  If neither ``forms`` nor
-        ``constraint`` is given, the system has no constraints.
-    forms_velocity_derivative : callable, optional
-        ``forms_velocity_derivative(q, v) -> (m, n)``: entry [a, j] is d(mu^a(q) v)/dq_j.
-    affine, affine_derivative : callable, optional
-        ``affine(q) -> (m,)``: a(q), so that the constraints are mu(q) v + a(q) = 0;
-        ``affine_derivative(q) -> (m, n)``: entry [a, j] is da^a/dq_j.  Pass both
-        ``affine_derivative`` and ``forms_velocity_derivative``, or neither.
-    constraint, constraint_v, constraint_q : callable, optional
-        Nonlinear constraints, instead of ``forms``.  ``constraint(q, v) -> (m,)``: phi;
-        ``constraint_v(q, v) -> (m, n)``: dphi^a/dv_i, required, of rank m along the motion;
-        ``constraint_q(q, v) -> (m, n)``: dphi^a/dq_j.
-    time_dependent : bool, optional
-        Whether the constraints or the Lagrangian depend on time.  If so, all functions, invariants
-        included, take t as an additional first argument: ``forms(t, q)``, ``constraint(t, q, v)``.
-    constraint_t, lagrangian_vt : callable, optional
-        Only with ``time_dependent``.  ``constraint_t(t, q, v) -> (m,)``: dphi^a/dt, which is
-        d(mu^a(t, q) v)/dt for linear constraints.  ``lagrangian_vt(t, q, v) -> (n,)``: d2L/dv_i dt.
-    potential : callable, optional
-        ``potential(q) -> float``: V.  Default: V = 0.
-    gradient : callable, optional
-        ``gradient(q) -> (n,)``: dV/dq_j.
-    hessian : callable, optional
-        ``hessian(q) -> (n, n)``: d2V/dq_i dq_j.
-    lagrangian, lagrangian_q, lagrangian_v : callable, optional
-        A general Lagrangian, instead of ``mass`` and ``potential``; all three are required.
-        ``lagrangian(q, v) -> float``: L; ``lagrangian_q(q, v) -> (n,)``: dL/dq_i;
-        ``lagrangian_v(q, v) -> (n,)``: dL/dv_i.
-    lagrangian_qq, lagrangian_vq, lagrangian_vv : callable, optional
-        Second derivatives, functions of (q, v) of shape (n, n): d2L/dq_i dq_j; d2L/dv_i dq_j with
-        the velocity as row; d2L/dv_i dv_j, symmetric and positive definite.
-    force, force_q, force_v : callable, optional
-        ``force(t, q, v) -> (n,)``: f; ``force_q(t, q, v) -> (n, n)``: df_i/dq_j;
-        ``force_v(t, q, v) -> (n, n)``: df_i/dv_j.  With ``inputs`` the arguments are (t, q, v, u).
-    inputs : sequence of str or int, optional
-        Names of the inputs u, or their number.  Inputs change from step to step of a run, as motor
-        torques do; see `dalembert.integrate` and `dalembert.Stepper`.  Functions that accept no
-        inputs, such as order studies, use zeros.
-    driven : bool, optional
-        Whether the constraints depend on the inputs, as v - u = 0 does.  If so, ``forms``,
-        ``affine``, ``constraint`` and their derivatives take u as an additional last argument:
-        ``forms(q, u)``, ``constraint(q, v, u)``.
-    n : int, optional
-        Number of coordinates; required if neither ``mass``, ``coordinates`` nor ``q0`` determines
-        it.
-    m : int, optional
-        Number of constraints.  Default: the number of rows that ``forms`` returns at ``q0`` or at
-        0.  With ``constraint``, the number of values at (q0, v0), or at q = 0, v = (1, ..., 1).
-    name, help : str, optional
-        A name, and a description of one line.
-    description, source : str, optional
-        Some sentences about the coordinates and parameters; the source in the literature.
-    formulas : sequence of str, optional
-        "L = ...", the constraints "... = 0", and "where NAME = ..." for each other symbol in these
-        and in the names of invariants.  ``v_x`` is the velocity of x, a blank a product, ``^`` a
-        power.
-    coordinates : sequence of str, optional
-        Names of the coordinates; default "q0", "q1", ...
-    q0, v0 : array_like, shape (n,), optional
-        Default initial data; pass both or neither.
-    exact : callable, optional
-        ``exact(t, q0, v0) -> (q, v)``: the exact state at time t of the solution that starts from
-        (q0, v0) at time 0.
-    invariants : mapping of str to callable, optional
-        First integrals besides the energy: name to ``invariant(q, v) -> float``.
-    units : mapping of str to str, optional
-        Units of coordinates, of the time and of the energy: {"x": "m", "theta": "rad", "t": "s",
-        "energy": "J"}.  Plots, pages and files show them; nothing is converted.
-    steady : bool, optional
-        Whether mu depends only on coordinates on which no constraint force acts, such as the
-        heading of a blade.  Row i of M^-1 mu^T is zero for such a coordinate i.  Requires ``mass``
-        and ``forms``.  The steps are then linear, without iteration.  A step at which the
-        declaration proves false raises an error.
-    positional : bool, optional
-        Whether the force depends on t, q and its inputs alone.  Steps then treat it like the
-        gradient of a potential, which is faster, and pass NaN for v.
-    sparsity : array_like or sparse array, shape (m, n), or tuple (rows, columns), optional
-        The entries that may be nonzero in mu or in d(mu v)/dq, sorted by row and then by column.
-        ``forms`` and ``forms_velocity_derivative`` then return an array of these entries alone.
-        See Notes.
-    kind : {"linear", "affine", "nonlinear"}, optional
-        How a ``constraint`` given as a C function depends on v; default "linear".
-    missing : sequence of str, optional
-        Outputs that the C functions do not write: "V_q", "V_qq", "phi_q", "L_qq", ...
-    ctx : array, address or pointer, optional
-        Last argument passed to the C functions.  The object is kept alive; the C functions may only
-        read it.
+    {options}
 
     Attributes
     ----------
@@ -253,59 +166,12 @@ class System(Handle):
     array([-2.])
     """
 
-    def __init__(
-        self,
-        *,
-        mass: ArrayLike | None = None,
-        forms: OfPoint | None = None,
-        forms_velocity_derivative: OfState | None = None,
-        affine: OfPoint | None = None,
-        affine_derivative: OfPoint | None = None,
-        constraint: OfState | None = None,
-        constraint_v: OfState | None = None,
-        constraint_q: OfState | None = None,
-        constraint_t: OfTime | None = None,
-        potential: Callable[[Array], float] | None = None,
-        gradient: OfPoint | None = None,
-        hessian: OfPoint | None = None,
-        lagrangian: Callable[[Array, Array], float] | None = None,
-        lagrangian_q: OfState | None = None,
-        lagrangian_v: OfState | None = None,
-        lagrangian_qq: OfState | None = None,
-        lagrangian_vq: OfState | None = None,
-        lagrangian_vv: OfState | None = None,
-        lagrangian_vt: OfTime | None = None,
-        force: OfTime | None = None,
-        force_q: OfTime | None = None,
-        force_v: OfTime | None = None,
-        inputs: Sequence[str] | int | None = None,
-        driven: bool = False,
-        n: int | None = None,
-        m: int | None = None,
-        name: str = "system",
-        help: str = "",
-        description: str = "",
-        source: str = "",
-        formulas: Sequence[str] = (),
-        coordinates: Sequence[str] | None = None,
-        q0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        exact: OfTimeTwo | None = None,
-        invariants: Mapping[str, Callable[[Array, Array], float]] | None = None,
-        units: Mapping[str, str] | None = None,
-        steady: bool = False,
-        time_dependent: bool = False,
-        positional: bool = False,
-        sparsity: Any = None,
-        kind: str | None = None,
-        missing: Sequence[str] | None = None,
-        ctx: Any = None,
-    ) -> None:
+    @method(SystemOptions)
+    def __init__(self, *args: Any, **given: Any) -> None:
         if hasattr(self, "_handle"):
             raise TypeError("a System cannot be changed: __init__ is called only once")
-        given = locals()
-        del given["self"], given["units"]
-        self._take(sources.functions(given), units)
+        asked = SystemOptions.of("System", args, given)
+        self._take(sources.functions(asked), asked.units)
 
     @classmethod
     def _of(cls, source: Source, units: Mapping[str, str] | None = None) -> System:
@@ -328,26 +194,8 @@ class System(Handle):
         )
 
     @classmethod
-    def from_sympy(
-        cls,
-        L: Any,
-        constraints: Any = (),
-        coordinates: Iterable[Any] | None = None,
-        parameters: Mapping[Any, Any] | None = None,
-        *,
-        force: Mapping[Any, Any] | None = None,
-        inputs: Iterable[Any] = (),
-        name: str = "system",
-        help: str = "",
-        description: str = "",
-        source: str = "",
-        q0: Any = None,
-        v0: Any = None,
-        exact: Any = None,
-        invariants: Mapping[str, Any] | None = None,
-        units: Mapping[str, str] | None = None,
-        positions: Any = (),
-    ) -> System:
+    @method(SympyOptions)
+    def from_sympy(cls, *args: Any, **given: Any) -> System:
         """Return the system defined by SymPy expressions for the Lagrangian and the constraints.
 
         The expressions are differentiated and compiled to C, together with the step routine, and
@@ -362,46 +210,7 @@ class System(Handle):
 
         Parameters
         ----------
-        L : sympy.Expr
-            The Lagrangian.  The fast step routine is used if it is v^T M v / 2 - V(q) with constant
-            M.
-        constraints : sequence, optional
-            Each constraint is an expression that vanishes or an ``Eq``, and is linear, affine or
-            nonlinear in the velocities.  A list of n coefficients, or a row of a matrix, is a
-            one-form mu(q).  The symbol of the time is `dalembert.time`, or ``dynamicsymbols._t``
-            together with dynamicsymbols.
-        coordinates : sequence, optional
-            Coordinates from `dalembert.coordinates`, dynamicsymbols (the velocities are their
-            derivatives), or pairs (q, v) of symbols.  Default: all coordinates in the expressions;
-            those of `dalembert.coordinates` in the order of their definition, then dynamicsymbols
-            by name.
-        parameters : mapping, optional
-            Symbol, or its name, to value.  The assumptions of a symbol, such as ``positive=True``,
-            have to hold for each value, also in `with_parameters`.
-        force : mapping, optional
-            Coordinate to component of the generalized force f in d/dt L_v - L_q = f + mu^T lambda.
-            A component may contain coordinates, velocities, inputs and the time.
-        inputs : sequence, optional
-            Symbols or dynamicsymbols in the force or the constraints that change during a run, such
-            as motor torques or a steering rate.  Their names become ``System.inputs``.
-        name, help, description, source : str, optional
-            As for `System`.
-        q0, v0 : sequence, optional
-            Default initial data; numbers, or expressions in the parameters.
-        exact : sequence or callable, optional
-            The exact solution: 2n expressions (q, v), or
-            ``exact(t, q0, v0, **parameters) -> (q, v)``.  In the expressions the symbols of
-            coordinates and velocities denote the initial data.
-        invariants : mapping, optional
-            Name to expression, or to ``invariant(q, v, **parameters) -> float``;
-            ``invariant(t, q, v, **parameters)`` if the system depends on time.
-        units : mapping, optional
-            As for `System`.
-        positions : sequence, optional
-            Constraints on coordinates alone, as expressions that vanish.  Their time derivatives
-            have to be among ``constraints``; steps satisfy the derivatives.  A run warns if a
-            position constraint is violated by more than 1e-6 (see `off_positions`), initially or by
-            drift.
+        {options}
 
         Returns
         -------
@@ -434,16 +243,15 @@ class System(Handle):
         >>> own.multipliers([0, 1, 0], [1, 1, 1])
         array([0.5])
         """
-        arguments.mapping(parameters, "parameters")
-        arguments.mapping(force, "force")
-        sources.require_named(invariants)
-        taken = symbolic.given.take(
-            L, constraints, coordinates, parameters,
-            force=force, inputs=inputs, q0=q0, v0=v0, exact=exact, invariants=invariants,
-            positions=positions,
-        )  # fmt: skip
-        about = {"name": name, "help": help, "description": description, "source": source}
-        return cls._of(sources.Expressions(about=about, **taken), units)
+        asked = SympyOptions.of("from_sympy", args, given)
+        arguments.mapping(asked.parameters, "parameters")
+        arguments.mapping(asked.force, "force")
+        sources.require_named(asked.invariants)
+        values = {name: x for name, x in vars(asked).items() if name != "units"}
+        about = {name: values.pop(name) for name in options_of(About)}
+        first = [values.pop(name) for name in ("L", "constraints", "coordinates", "parameters")]
+        taken = symbolic.given.take(*first, **values)
+        return cls._of(sources.Expressions(about=about, **taken), asked.units)
 
     @classmethod
     def from_lagranges_method(

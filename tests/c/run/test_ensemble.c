@@ -616,6 +616,25 @@ static void test_refusals(void)
     dal_system *const nameless = open_stateless();
     REFUSED(DAL_EINVAL, nameless, &scheme, "no default initial data", (void)wrong);
 #undef REFUSED
+    const dal_options varied = {.tolerance = 1e-6};
+    const double ahead = INFINITY, start[2] = {0.0, 1.0};
+    good.h = &ahead;
+    good.until = 1.0;
+    dal_members wrong[4] = {good, good, good, good};
+    wrong[0].stride = 1;
+    wrong[1].until = INFINITY;
+    wrong[2].inputs = wrong[3].inputs = &number;
+    wrong[2].x = wrong[3].x = start;
+    wrong[3].input_duration = -0.5;
+    static const char *const words[] = {"members.stride = 1: expected 0", "members.until = inf",
+                                        "input_duration = 0", "input_duration = -0.5"};
+    const dal_scheme composed = find_scheme("leapfrog-kl6");
+    for (size_t i = 0; i < 4; i++) {
+        dal_error refused = {0};
+        CHECK(dal_ensemble_run(i < 2 ? system : driven, &composed, &varied, &wrong[i], 0, 2, NULL,
+                               NULL, &refused) == DAL_EINVAL);
+        CHECK(strstr(refused.text, words[i]) != NULL);
+    }
     CHECK(status[0] == 9);
     dal_error error = {0};
     CHECK(dal_ensemble_run(system, &scheme, NULL, &good, 1, 2, NULL, NULL, &error) == DAL_EINVAL);
@@ -628,9 +647,52 @@ static void test_refusals(void)
     CHECK(dal_system_new(&none, &def, &error) == DAL_EINVAL && strstr(error.text, "ctx_size"));
 }
 
+/* Steps of variable size: the bits of a run, and inputs that are held for a time. */
+static void test_varied(void)
+{
+    enum { COUNT = 3 };
+    const dal_scheme scheme = find_scheme("leapfrog-kl6");
+    const dal_options options = {.tolerance = 1e-8, .h_max = 0.7};
+    const double h = INFINITY, c = 0.5, x[4] = {1.0, 0.0, 2.0, 0.0};
+    const size_t most = SIZE_MAX / 2;
+    double values[COUNT][8] = {{0}}, states[COUNT][6], t_end[COUNT], reactions[COUNT];
+    size_t done[COUNT];
+    dal_system *const system = open_system("sleigh");
+    for (size_t k = 0; k < COUNT; k++) open_member("sleigh", k, values[k]);
+    dal_members members = {.count = COUNT, .h = &h, .steps = &most, .t0 = 0.5, .until = 3.0,
+                           .parameters = values, .parameters_next = sizeof values[0],
+                           .states = states[0], .t_end = t_end, .reactions = reactions,
+                           .done = done, .lanes = 1};
+    CHECK(!dal_ensemble_run(system, &scheme, &options, &members, 0, COUNT, NULL, NULL, NULL));
+    for (size_t k = 0; k < COUNT; k++) {
+        double own[8], start[6], reaction;
+        dal_system *const one = open_member("sleigh", k, own);
+        dal_stepper *const stepper = open_stepper(one, &scheme, &options);
+        need(dal_system_state(one, start), "state", "");
+        CHECK(!dal_stepper_start(stepper, 0.5, h, start, DAL_CHECK, DAL_INITIAL_NONE));
+        dal_run run = {.stepper = stepper, .steps = most, .stride = most, .until = 3.0,
+                       .reactions = &reaction};
+        CHECK(!dal_run_go(&run, SIZE_MAX) && done[k] == run.done && run.done > 3);
+        CHECK(same(6, states[k], dal_stepper_state(stepper)) && t_end[k] == 3.0);
+        CHECK(reactions[k] == reaction);
+        release(one);
+    }
+    static const double mass[4] = {1.0, 0.0, 0.0, 1.0};
+    const dal_system_def def = {.n = 2, .mass = mass, .force = pushed, .inputs = 1,
+                                .positional = 1};
+    const dal_law law = {.values = brake, .count = 1, .ctx = (void *)&c};
+    dal_system *braked;
+    braked = new_system(&def);
+    members = (dal_members){.count = 1, .x = x, .h = &h, .steps = &most, .until = 2.0,
+                            .control = &law, .input_duration = 0.25, .states = states[0]};
+    CHECK(!dal_ensemble_run(braked, &scheme, &options, &members, 0, 1, NULL, NULL, NULL));
+    CHECK_NEAR(states[0][2], 2.0 * pow(1.0 - c * 0.25, 8.0), 64.0 * U);
+}
+
 int main(void)
 {
     test_bits();
+    test_varied();
     test_own();
     test_ranges();
     test_events();

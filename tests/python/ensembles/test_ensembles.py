@@ -13,9 +13,9 @@ import sympy
 from scipy import stats
 
 import dalembert as dal
-from dalembert.ensembles import work
+from dalembert.ensembles import block
 
-ALWAYS = {"status", "done", "t_end", "doubtful", *work.STATISTICS}
+ALWAYS = {"status", "done", "t_end", "doubtful", *block.STATISTICS}
 
 
 # ---- systems -----------------------------------------------------------------------------------
@@ -62,11 +62,12 @@ def check_members(found, at_end=True, only=None):
     """Compare all that was kept with runs of `integrate`."""
     names = [name for name in found if name not in (*ALWAYS, "ended_by", "happened")]
     for k in range(len(found)) if only is None else only:
-        run = found.member(k, stride=max(1, int(found.steps[k])) if at_end else None)
+        steps = 2**62 if isinstance(found.h, str) else max(1, int(found.steps[k]))
+        run = found.member(k, stride=steps if at_end else None)
         assert run.success == bool(found.success[k]), found.message(k)
         assert found.message(k) == run.message
         assert found.done[k] == run.stats.steps
-        for name in work.STATISTICS:
+        for name in block.STATISTICS:
             assert found[name][k] == getattr(run.stats, name), name
         for name in names:
             values = of_run(run, name)
@@ -114,6 +115,71 @@ def test_members_are_runs(name, scheme):
     found = many(system, scheme, parameters=PARAMETERS[name], keep=keep, stride=4, **given)
     assert found.q.shape == found.v.shape == (len(found), 4, system.n)
     check_members(found, at_end=False)
+
+
+EACH = ["end", "q", "energy", "residual", "multipliers", "reactions"]
+
+
+@pytest.mark.parametrize("word, scheme", [("auto", None), ("auto", "bm6"), ("reversible", None)])
+def test_members_with_steps_of_their_own_sizes(word, scheme):
+    system, values = dal.systems.sleigh(), PARAMETERS["sleigh"]
+    ahead = many(system, scheme, parameters=values, h=word, t_end=20, keep=EACH, block=3)
+    check_members(ahead)
+    assert len({*ahead.done}) > 1 and (ahead.t == 20).all() and ahead.h == word
+    assert (ahead.steps == ahead.done).all()
+    if word == "auto":
+        given = {"parameters": values, "h": word, "tolerance": 1e-5, "h_max": 0.1, "t0": 1.0}
+        back = many(system, scheme, **given, t_end=-0.5, keep=EACH, max_iterations=20)
+        check_members(back)
+        assert (back.t == -0.5).all() and (back.done >= 15).all()
+        kept = many(system, scheme, **given, t_end=1.5, energy="keep", keep=EACH)
+        check_members(kept)
+        assert (abs(kept.energy - [r.energy[0] for r in map(kept.member, range(7))]) < 1e-14).all()
+    counts = many(system, scheme, parameters=values, h=word, t_end=20, keep=lambda run: len(run.t))
+    assert (counts.value == ahead.done + 1).all()
+    assert (many(system, h=word, t_end=0).q == system.q0).all()
+
+
+def test_inputs_and_events_with_steps_of_variable_size():
+    system, K = skate(), 5
+    values = {"m": np.linspace(0.5, 2, K), "k": np.linspace(0, 4, K)}
+    given = {"h": "auto", "t_end": 1.0, "keep": EACH, "parameters": values}
+    check_members(many(system, **given, inputs=[0.5, -0.2]))
+    check_members(many(system, **given, inputs=RNG.normal(size=(K, 4, 2)), hold=0.3))
+    x, y, _ = dal.coordinates("x y theta")
+    u, s = sympy.symbols("u s")
+    law = {u: -2 * x, s: sympy.cos(dal.time)}
+    found = many(system, **given, inputs=law, hold=0.07)
+    assert block.is_in_c(found._spec.common)
+    check_members(found)
+    check_members(many(system, **given, inputs=lambda t, q, v: [q[0], t], hold=0.07))
+    with pytest.raises(ValueError, match="hold is missing: with h = 'auto'"):
+        many(system, **given, inputs=law)
+    with pytest.raises(ValueError, match="inputs: expected shape"):
+        many(system, **given, inputs=np.zeros((K, 5, 2)), hold=0.3)
+    compiled = [dal.Event(x - 0.3, terminal=True), dal.Event(y - 0.05)]
+    plain = [dal.Event(lambda t, q, v: q[0] - 0.3, terminal=True), lambda t, q, v: q[1] - 0.05]
+    for inputs in ({}, {"inputs": law, "hold": 0.07}):
+        for events in (compiled, plain):
+            found = many(system, **given, events=events, **inputs)
+            check_members(found)
+            assert 0 in found.ended_by and found.happened[:, 1].any()
+
+
+def test_failures_with_steps_of_variable_size():
+    system = dal.systems.sleigh()
+    v0 = system.v0 + np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.0]])
+    with pytest.warns(dal.DalembertWarning, match="1 of 2 members failed"):
+        found = many(system, None, system.q0, v0, h="auto", t_end=1)
+    assert found.success.tolist() == [True, False] and np.isnan(found.q[1]).all()
+    x = dal.coordinates("x")[0]
+    wall = dal.System.from_sympy(x.d**2 / 2 - sympy.log(1 - x), q0=[0], v0=[1])
+    with pytest.warns(dal.DalembertWarning, match="2 of 2 members failed"):
+        found = many(wall, None, [[0.0], [0.5]], [1.0], h="auto", t_end=5)
+    for k in range(2):
+        with pytest.raises(dal.DalembertError) as caught:
+            found.member(k, throw=True)
+        assert str(caught.value) in found.message(k) and found.t_end[k] == caught.value.t
 
 
 def test_expressions_with_inputs_of_each_member():
@@ -210,14 +276,14 @@ def test_laws_have_the_parameters_of_each_member(tmp_path):
     wall = dal.Event(x, direction=-1, reset={x.d: -e * x.d, x: x})
     options = {"h": 0.01, "parameters": values, "hold": 10, "inputs": {push: -gain * x}}
     found = many(system, **options, steps=100)
-    assert work.is_in_c(found._ask.setting)
+    assert block.is_in_c(found._spec.common)
     check_members(found)
     for k, stiffness in enumerate(gains):
         step = np.array([[1 - stiffness * 0.005, 0.1], [-stiffness * 0.1, 1]])
         expected = np.linalg.matrix_power(step, 10) @ [1, 0]
         np.testing.assert_allclose([found.q[k, 0], found.v[k, 0]], expected, atol=1e-13)
     thrown = many(system, q0=[1], v0=[-2], parameters=values, h=0.01, steps=80, events=[wall])
-    assert work.is_in_c(thrown._ask.setting) and (thrown.happened == 1).all()
+    assert block.is_in_c(thrown._spec.common) and (thrown.happened == 1).all()
     np.testing.assert_allclose(thrown.q[:, 0], 2 * kept * 0.3, atol=1e-12)
     rows = many(system, **options, steps=100, events=[wall], keep=["all", "energy"])
     check_members(rows, at_end=False)

@@ -10,7 +10,7 @@ import pytest
 import sympy
 
 import dalembert as dal
-from dalembert.ensembles import lanes, making
+from dalembert.ensembles import api, lanes
 from dalembert.symbolic import expressions
 
 U = 2.0**-53
@@ -148,7 +148,7 @@ def test_steps_and_step_sizes_of_members():
 
 @pytest.mark.parametrize(("lane", "blocks"), [(True, 1), (False, 16)])
 def test_long_members_fill_the_lanes(lane, blocks, monkeypatch, tmp_path):
-    monkeypatch.setattr(making, "_seconds_of_member", lambda ask: 1e3)  # a block of its own
+    monkeypatch.setattr(api, "_seconds_of_member", lambda spec: 1e3)  # a block of its own
     particle = dal.systems.particle()
     many(particle, h=np.full(16, 0.1), steps=1, lanes=lane, store=tmp_path / "of", threads=1)
     assert len(list((tmp_path / "of").glob("block-*.npz"))) == blocks

@@ -9,7 +9,10 @@ import pytest
 
 import dalembert as dal
 from dalembert import cli
-from dalembert.run.options import KINDS
+from dalembert.core.records import options_of
+from dalembert.ensembles.spec import EnsembleOptions
+from dalembert.run.options import KINDS, IntegrateOptions, ResumeOptions, StepperOptions, in_c
+from dalembert.system.definition import SympyOptions, SystemOptions
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "howto" / "steps.md"
 ALL = sorted(set.union(*(set(kind.options) for kind in KINDS.values())))
@@ -194,6 +197,54 @@ def test_the_text_says_what_would_use_it():
     for scheme, why in (("reference", "own step sizes"), ("midpoint-nodes", "kept nodes")):
         with pytest.raises(ValueError, match=f"^h = 'auto' with the scheme '{scheme}'.*{why}"):
             dal.integrate(hilly(), scheme, h="auto", t_end=1)
+
+
+@pytest.mark.parametrize(
+    ("member", "record"),
+    [
+        (dal.integrate, IntegrateOptions), (dal.resume, ResumeOptions),
+        (dal.Stepper, StepperOptions), (dal.ensemble, EnsembleOptions),
+        (dal.System, SystemOptions), (dal.System.from_sympy, SympyOptions),
+    ],
+)  # fmt: skip
+def test_signatures_and_docstrings_are_those_of_the_list(member, record):
+    given, doc = inspect.signature(member).parameters, inspect.getdoc(member)
+    section = doc.split("Parameters\n----------\n")[1].split("\n\nAttributes")[0]
+    section = section.split("\n\nReturns")[0]
+    heads = [line.partition(" : ")[0] for line in section.splitlines() if line[:1].strip()]
+    names = [name for head in heads for name in head.split(", ")]
+    assert names == [*given] == [*options_of(record)]
+    for name, one in options_of(record).items():
+        assert all(line.strip() in section for line in one.help.splitlines() if one.help != "-")
+    first = [x for x in given.values() if x.kind is not x.KEYWORD_ONLY]
+    required = [None for x in first if x.default is x.empty]
+    steps = {"h": 1} if "h" in given else {}
+    with pytest.raises(TypeError, match=rf"^{member.__name__}\(\): .*'nme'") as caught:
+        member(*required, **steps, nme=1)
+    assert ("did you mean 'name'?" in str(caught.value)) == ("name" in given)
+    with pytest.raises(TypeError, match="too many positional arguments"):
+        member(*[None] * 9)
+
+
+def test_the_command_has_the_text_of_the_list(capsys):
+    for command, record in (("run", IntegrateOptions), ("ensemble", EnsembleOptions)):
+        assert cli.main([command, "--help"]) == 0
+        shown = capsys.readouterr().out
+        words = " ".join(shown.replace("-\n", "-").split())
+        for name, one in options_of(record).items():
+            there = one.parse is not None or name == "executor"
+            assert (f"--{name.replace('_', '-')} " in words) == there, name
+        assert "Advance several members at once" in words or command == "run"
+        assert '"keep": conserve the energy to roundoff by scaling the velocity' in words
+        assert "as long as --tolerance allows" in words and "With --h auto it is" in words
+
+
+def test_options_of_c_are_those_of_the_list():
+    given = {"max_iterations": 7, "tolerance": 1e-6, "h_max": 0.5, "eps": 0.1, "energy": "keep"}
+    made = in_c({**given, "h": "auto", "system": None, "stride": 3})
+    values = [made.max_iterations, made.tolerance, made.h_max, made.eps, made.keep_energy]
+    assert values == [7, 1e-6, 0.5, 0.1, 1] and made is in_c(given)
+    assert {one.c for one in options_of(IntegrateOptions).values()} == {"", *dir(made)}
 
 
 @pytest.mark.parametrize("kind", ["fixed", "kept", "flow"])

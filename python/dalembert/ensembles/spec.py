@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
+import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core import Array, arguments
+from ..core.extras import Progress
+from ..core.records import extended, option
 from ..run.events import Event
-from ..run.laws import Law, is_control
+from ..run.laws import is_control
+from ..run.options import (
+    IntegrateOptions,
+    Options,
+    Size,
+    Step,
+    Extent,
+    Events,
+    Inputs,
+    Sampling,
+    Watching,
+)
 from ..run.scheme import Scheme
 from ..system import System
 from .design import Design
@@ -33,7 +48,7 @@ _TAILS = {"q0": 1, "v0": 1, "inputs": 2}  # how many axes a member has, of what 
 
 
 @dataclass(frozen=True)
-class Given:
+class Broadcast:
     """Values for members: the last ``tail`` axes belong to one member, the others broadcast."""
 
     values: Array
@@ -65,7 +80,7 @@ class Given:
         return np.ascontiguousarray(self.values[index])
 
 
-def _given(value: ArrayLike, name: str, *tail: int | None) -> Given:
+def _given(value: ArrayLike, name: str, *tail: int | None) -> Broadcast:
     """Return values with these last axes, None for any length."""
     shape = np.shape(value) if arguments.shape(value) == np.shape(value) else None
     if shape is None or len(shape) < len(tail):
@@ -73,14 +88,14 @@ def _given(value: ArrayLike, name: str, *tail: int | None) -> Given:
     found = arguments.array(value, name, (*[None] * (len(shape) - len(tail)), *tail))
     if 0 in found.shape[: found.ndim - len(tail)]:
         raise ValueError(f"{name}: expected at least one member, got shape {found.shape}")
-    return Given(found, len(tail))
+    return Broadcast(found, len(tail))
 
 
 # ---- what is kept ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Kept:
+class Output:
     """The results kept for each member.
 
     Attributes
@@ -100,11 +115,11 @@ class Kept:
     at_end: bool
     states: bool = False
     measures: tuple[str, ...] = ()
-    columns: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    columns: Mapping[str, int] = field(default_factory=dict)
     reduce: Callable[[Any], Any] | None = None
 
     @classmethod
-    def of(cls, keep: Any, system: System) -> Kept:
+    def of(cls, keep: Any, system: System) -> Output:
         """Return the results that the argument ``keep`` requests."""
         if callable(keep):
             arguments.function(keep, "keep", "run")
@@ -134,30 +149,134 @@ class Kept:
         return cls("end" in names, whole, chosen, columns)
 
 
+# ---- what is asked -----------------------------------------------------------------------------
+
+
+# fmt: off
+@dataclass(frozen=True, eq=False, repr=False)
+class _Members(Options):
+    q0: ArrayLike | None = field(default=None, metadata=extended(Options, "q0"))
+    v0: ArrayLike | None = field(default=None, metadata=extended(Options, "v0", """
+        The leading axes are those of the members; the leading axes of all arguments broadcast.  By
+        default the initial data have the parameters of each member.
+    """, type="array_like, shape (..., n)"))
+    parameters: Mapping[str, ArrayLike] | None = option(
+        "mapping of str to array_like, shape (...), or Design",
+        "Values of parameters; see `grid` and `sample`.  Other parameters are those of the system.")
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class EnsembleOptions(Events, Inputs, Sampling, Step, Extent, Size, _Members):
+    """The options of `ensemble`."""
+
+    h: ArrayLike | str = field(metadata=extended(  # type: ignore[assignment]
+        Size, "h", "The step size of each member, or one word for all members.",
+        type='array_like, shape (...), "auto" or "reversible"'))
+    stride: int | None = field(default=None, metadata=extended(
+        Sampling, "stride",
+        "Results have a row for each stored state.  Not allowed if only the end is kept."))
+    inputs: Any = field(default=None, metadata=extended(Inputs, "inputs", """
+        An array may have leading axes, shape (..., holds, k).  Expressions are evaluated in C with
+        the parameters of each member.
+    """))
+    events: Any = field(default=(), metadata=extended(
+        Events, "events", "Events and resets given as expressions are computed in C."))
+    keep: Any = option("str, sequence of str or callable", """
+        The results to keep.
+
+        - "end" (default): the last state, as ``q`` and ``v``.
+        - "all": every stride-th state.
+        - Names: coordinates ("theta"), velocities ("v_theta"), "energy", "residual", "multipliers",
+          "reactions"; every stride steps, or at the end if "end" is among them.
+        - A function of a `Solution` that returns a number, an array, or a mapping from names to
+          numbers or arrays.
+    """, default="end", parse=lambda text: text.split(","), metavar="NAME,...")
+    axes: Any = option("sequence of str, or mapping of str to array_like", """
+        Names of the axes of the members, and values along them, for plots and xarray.  Default: the
+        axes of a `grid`.
+    """)
+    executor: Any = option("concurrent.futures.Executor, or function that returns one", """
+        Executor of blocks of members, each of some seconds: a ``ProcessPoolExecutor``, dask's
+        ``client.get_executor(pure=False)``, ...  Default: threads of this process.
+    """)
+    threads: int | None = option(
+        "int", "Number of threads; default: one for each processor.", parse=int, metavar="N")
+    lanes: bool = option("bool", """
+        Advance several members at once with vector instructions, 3 to 6 times as fast.  Requires
+        steps of fixed size, constant mass, linear constraints, no forces that depend on v, n <= 8,
+        and no events, inputs or ``energy``.  Otherwise members are advanced one by one, with a
+        warning; ``lanes`` of the result says which.  The bits of a member then do not depend on
+        other members, their order or the threads, on one kind of machine.  They differ from those
+        of `integrate` by about 1e-12 over 1000 steps, because vector sines differ in the last bit.
+    """, default=False, parse=bool)
+    store: str | os.PathLike[str] | None = option("str or path", """
+        A directory for the results, one file for each block.  After an interruption, the same call
+        resumes: finished blocks are not computed again.
+    """, parse=Path, metavar="DIR")
+    block: int | None = option(
+        "int", "Number of members in a block; default: as many as take some seconds.",
+        read=partial(arguments.integer, least=1), parse=int, metavar="N")
+    progress: Progress = field(default=True, metadata=extended(
+        Watching, "progress",
+        "The numbers are those of members.  By default a bar is shown if tqdm is installed.",
+        default=True))
+# fmt: on
+
+
 # ---- all of it ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Setting:
-    """The properties common to all members."""
+class Common:
+    """The properties common to all members.
 
-    system: System
-    scheme: Scheme
-    t0: float
-    stride: int  # 0: the end alone
-    kept: Kept
-    consistent: str
-    initial: str | None
-    max_iterations: int | None
-    hold: int | None
-    events: tuple[Event, ...]
-    control: Callable[..., Any] | Law | None  # inputs that are a function, or expressions
+    Attributes
+    ----------
+    options : IntegrateOptions
+        Those of each member; its own initial data, step size, number of steps and inputs, if they
+        are rows, replace them.
+    stride : int
+        Number of steps between rows; 0: the end alone.
+    output : Output
+    lanes : bool
+    """
+
+    options: IntegrateOptions
+    stride: int
+    output: Output
     lanes: bool = False
-    energy: str | None = None
+
+    @property
+    def system(self) -> System:
+        """The system of all members, except for their parameters."""
+        return self.options.system
+
+    @property
+    def scheme(self) -> Scheme:
+        """The scheme of all members."""
+        return self.options.scheme  # type: ignore[return-value]
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """The events of each member."""
+        return self.options.events  # type: ignore[no-any-return]
+
+    @property
+    def varies(self) -> bool:
+        """Whether the step size varies along a run."""
+        return bool(self.options.control)
+
+    def rows(self, steps: Array) -> int:
+        """Return the number of rows kept for each member, which have the same number of steps."""
+        return 1 if self.stride == 0 or self.varies else int(steps.flat[0]) // self.stride + 1
+
+    def having(self, **options: Any) -> Common:
+        """Return the properties with other options of each member."""
+        return replace(self, options=self.options.having(**options))
 
 
 @dataclass(frozen=True)
-class Ask:
+class EnsembleSpec:
     """The definition of an ensemble.
 
     Attributes
@@ -170,16 +289,16 @@ class Ask:
         Values along axes, by the name of the axis.
     """
 
-    setting: Setting
+    common: Common
     shape: tuple[int, ...]
     axes: tuple[str, ...]
     ticks: dict[str, Array]
-    q0: Given | None
-    v0: Given | None
-    parameters: dict[str, Given]
-    h: Given
-    steps: Given
-    inputs: Given | None
+    q0: Broadcast | None
+    v0: Broadcast | None
+    parameters: dict[str, Broadcast]
+    h: Broadcast
+    steps: Broadcast
+    inputs: Broadcast | None
     lacks: tuple[str, ...] = ()  # functions of it that a store does not keep
 
     def arrays(self) -> dict[str, Array]:
@@ -189,9 +308,9 @@ class Ask:
         return {name: x.values for name, x in found.items() if x is not None}
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, Array], **more: Any) -> Ask:
+    def of_arrays(cls, arrays: Mapping[str, Array], **more: Any) -> EnsembleSpec:
         """Return the definition from the result of `arrays` and the other attributes."""
-        given = {name: Given(x, _TAILS.get(name, 0)) for name, x in arrays.items()}
+        given = {name: Broadcast(x, _TAILS.get(name, 0)) for name, x in arrays.items()}
         parameters = {
             name.removeprefix("parameters."): x
             for name, x in given.items() if name.startswith("parameters.")
@@ -207,15 +326,14 @@ class Ask:
     @property
     def rows(self) -> int:
         """The number of rows kept for each member."""
-        stride = self.setting.stride
-        return 1 if stride == 0 else int(self.steps.values.flat[0]) // stride + 1
+        return self.common.rows(self.steps.values)
 
     def block(self, begin: int, end: int) -> dict[str, Array]:
         """Return the values for the members begin .. end - 1; one row if all members have the same.
 
         "x" and "parameters" are absent if they are those of the system.
         """
-        setting, shape, count = self.setting, self.shape, end - begin
+        common, shape, count = self.common, self.shape, end - begin
         found = {"h": self.h.rows(shape, begin, end), "steps": self.steps.rows(shape, begin, end)}
         if self.q0 is not None and self.v0 is not None:
             halves = [x.rows(shape, begin, end) for x in (self.q0, self.v0)]
@@ -224,9 +342,9 @@ class Ask:
             found["x"] = np.concatenate(wide, axis=1)
         if self.parameters:
             values = {name: x.rows(shape, begin, end) for name, x in self.parameters.items()}
-            table = np.empty((count, len(setting.system.parameters)))
-            table[:] = list(setting.system.parameters.values())
-            for k, name in enumerate(setting.system.parameters):
+            table = np.empty((count, len(common.system.parameters)))
+            table[:] = list(common.system.parameters.values())
+            for k, name in enumerate(common.system.parameters):
                 if name in values:
                     table[:, k] = values[name]
             found["parameters"] = table
@@ -235,7 +353,7 @@ class Ask:
         return found
 
 
-def members_shape(given: Mapping[str, Given | None]) -> tuple[int, ...]:
+def members_shape(given: Mapping[str, Broadcast | None]) -> tuple[int, ...]:
     """Return the broadcast shape of the leading axes; raise ValueError if they do not match."""
     leading = {name: x.leading for name, x in given.items() if x is not None and x.leading}
     try:
@@ -247,15 +365,9 @@ def members_shape(given: Mapping[str, Given | None]) -> tuple[int, ...]:
         ) from None
 
 
-def read_members(
-    system: System,
-    q0: ArrayLike | None,
-    v0: ArrayLike | None,
-    parameters: Mapping[str, ArrayLike] | None,
-    inputs: Any,
-    holds: int,
-) -> dict[str, Any]:
-    """Return the arguments for members, each as `Given`, or None."""
+def read_members(asked: EnsembleOptions, inputs: Any, holds: int) -> dict[str, Any]:
+    """Return the arguments for members, each as `Broadcast`, or None."""
+    system, q0, v0, values = asked.system, asked.q0, asked.v0, asked.parameters
     n = system.n
     arguments.pair(q0, v0, ("q0", "v0"), " for those of the system")
     if q0 is None and system.q0 is None:
@@ -265,9 +377,8 @@ def read_members(
     found: dict[str, Any] = {
         name: None if x is None else _given(x, name, n) for name, x in (("q0", q0), ("v0", v0))
     }
-    values = parameters if isinstance(parameters, Design) else arguments.mapping(
-        parameters, "parameters"
-    )
+    if not isinstance(values, Design):
+        values = arguments.mapping(values, "parameters")
     found["parameters"] = {
         str(name): _given(values.compact(name) if isinstance(values, Design) else values[name],
                           f"parameters[{str(name)!r}]")
@@ -279,10 +390,10 @@ def read_members(
     return found
 
 
-def _inputs(inputs: Any, system: System, holds: int) -> Given:
+def _inputs(inputs: Any, system: System, holds: int) -> Broadcast:
     """Return rows of inputs for all members, or, with leading axes, for each."""
     if isinstance(inputs, Mapping) or np.ndim(inputs) <= 2:
-        return Given(arguments.inputs(inputs, system.inputs, holds), 2)
+        return Broadcast(arguments.inputs(inputs, system.inputs, holds), 2)
     if not system.inputs:
         raise ValueError("inputs: the system has no inputs; remove it")
     return _given(inputs, "inputs", holds, len(system.inputs))

@@ -12,14 +12,14 @@ from collections.abc import Callable
 from typing import Any
 
 from ..core import arguments, lib
-from . import store, work
-from .ask import Ask, Setting
+from . import block, store
+from .spec import EnsembleSpec, Common
 from .result import Memory, Stored
 
 PIECE_SECONDS = 0.1  # after which the progress is shown
 _ATTEMPTS = 3  # of a block that more than one worker has died with, before it is tried alone
 
-Take = Callable[[int, work.Block | None], None]
+Take = Callable[[int, block.Block | None], None]
 
 
 def threads_of(threads: int | None) -> int:
@@ -32,23 +32,17 @@ def threads_of(threads: int | None) -> int:
 
 
 class Blocks:
-    """The members of an ensemble in blocks of one size.
+    """The members of an ensemble in blocks of one size; the last block may have fewer."""
 
-    Attributes
-    ----------
-    size : int
-        Number of members in a block; the last may have fewer.
-    """
-
-    def __init__(self, ask: Ask, size: int) -> None:
-        self.ask, self.size = ask, size
+    def __init__(self, spec: EnsembleSpec, size: int) -> None:
+        self.spec, self.size = spec, size
 
     def __len__(self) -> int:
-        return -(-self.ask.count // self.size)
+        return -(-self.spec.count // self.size)
 
     def range(self, index: int) -> tuple[int, int]:
         """Return the first member of a block, and the first after it."""
-        return index * self.size, min((index + 1) * self.size, self.ask.count)
+        return index * self.size, min((index + 1) * self.size, self.spec.count)
 
 
 # ---- here --------------------------------------------------------------------------------------
@@ -61,30 +55,20 @@ def by_threads(
     tell: Callable[[float], None],
     threads: int,
 ) -> None:
-    """Compute blocks in threads of this process.
+    """Compute the blocks ``left`` in threads of this process.
 
-    Parameters
-    ----------
-    blocks : Blocks
-    left : list of int
-        Numbers of the blocks to compute.
-    data : Memory or Stored
-        Destination of the blocks.
-    tell : callable
-        ``tell(done)`` is called several times a second with the number of members done.
-    threads : int
-        Number of threads.
+    ``tell(done)`` is called several times a second with the number of members done.
     """
     stop, under_way = threading.Event(), dict.fromkeys(left, 0.0)
 
-    def job(index: int) -> work.Block:
+    def job(index: int) -> block.Block:
         begin, end = blocks.range(index)
-        ask = blocks.ask
+        spec = blocks.spec
 
         def show(done: float) -> None:
             under_way[index] = done
 
-        made = work.make(ask.setting, ask.block(begin, end), end - begin, stop, show)
+        made = block.make(spec.common, spec.block(begin, end), end - begin, stop, show)
         under_way[index] = end - begin
         return made
 
@@ -103,7 +87,7 @@ def _run(
     take: Take,
     tell: Callable[[], None],
     stop: threading.Event | None = None,
-    lost: Callable[[int], work.Block] | None = None,
+    lost: Callable[[int], block.Block] | None = None,
 ) -> None:
     """Submit blocks, at most ``window`` at a time, and take their results as they finish.
 
@@ -146,17 +130,17 @@ def _run(
 
 
 @functools.lru_cache(maxsize=4)
-def _setting(pickled: bytes) -> Setting:
-    """Return the unpickled setting; each process creates its system once."""
-    setting: Setting = pickle.loads(pickled)
-    return setting
+def _common(pickled: bytes) -> Common:
+    """Return the unpickled common; each process creates its system once."""
+    common: Common = pickle.loads(pickled)
+    return common
 
 
 @functools.lru_cache(maxsize=4)
-def _stored_ask(pickled: bytes, path: str, mark: str, shape: tuple[int, ...]) -> Ask:
+def _stored_spec(pickled: bytes, path: str, mark: str, shape: tuple[int, ...]) -> EnsembleSpec:
     """Return the definition in a store visible from here; its arrays are memory-mapped."""
-    return Ask.of_arrays(
-        store.read_members(path, mark), setting=_setting(pickled), shape=shape, axes=(), ticks={}
+    return EnsembleSpec.of_arrays(
+        store.read_members(path, mark), common=_common(pickled), shape=shape, axes=(), ticks={}
     )
 
 
@@ -171,7 +155,7 @@ def remote(
     end: int,
     place: tuple[str, str, tuple[int, ...]] | None,
     rows: Any,
-) -> work.Block | None:
+) -> block.Block | None:
     """Compute a block in another process.
 
     ``place`` is the path of the store, the mark of the ensemble and its shape.  If the store is
@@ -182,8 +166,8 @@ def remote(
     if rows is None and not seen:
         raise Unseen
     if rows is None:
-        rows = _stored_ask(pickled, *place).block(begin, end)  # type: ignore[misc]
-    made = work.make(_setting(pickled), rows, end - begin, threading.Event(), lambda far: None)
+        rows = _stored_spec(pickled, *place).block(begin, end)  # type: ignore[misc]
+    made = block.make(_common(pickled), rows, end - begin, threading.Event(), lambda far: None)
     if not seen:
         return made
     store.write(place[0], index, place[1], made)  # type: ignore[index]
@@ -205,13 +189,13 @@ def by_executor(
     kind.  A block during which three pools died is tried alone.  If that pool dies too, its members
     have failed.
     """
-    ask, tried, remaining = blocks.ask, dict.fromkeys(left, 0), dict.fromkeys(left)
-    pickled = pickle.dumps(ask.setting)
-    place = (data.path, data.mark, ask.shape) if isinstance(data, Stored) else None
+    spec, tried, remaining = blocks.spec, dict.fromkeys(left, 0), dict.fromkeys(left)
+    pickled = pickle.dumps(spec.common)
+    place = (data.path, data.mark, spec.shape) if isinstance(data, Stored) else None
     sends = place is None
     under_way: set[int] = set()
 
-    def took(index: int, made: work.Block | None) -> None:
+    def took(index: int, made: block.Block | None) -> None:
         if made is not None:
             data.put(index, made)
         elif isinstance(data, Stored):
@@ -226,7 +210,7 @@ def by_executor(
             def submit(index: int) -> futures.Future[Any]:
                 begin, end = blocks.range(index)
                 under_way.add(index)
-                rows = ask.block(begin, end) if sends else None
+                rows = spec.block(begin, end) if sends else None
                 return executor.submit(remote, pickled, index, begin, end, place, rows)
 
             now = [index for index in remaining if tried[index] < _ATTEMPTS]
@@ -235,7 +219,7 @@ def by_executor(
                 _run(
                     executor, now or [next(iter(remaining))], 1 if alone else pools.window, submit,
                     took, lambda: tell((len(left) - len(remaining)) * blocks.size),
-                    lost=lambda index: _lost(ask, blocks, index),
+                    lost=lambda index: _lost(spec, blocks, index),
                 )  # fmt: skip
             except Unseen:
                 sends = True
@@ -246,14 +230,14 @@ def by_executor(
                 for index in [*under_way]:
                     tried[index] += 1
                     if alone:
-                        took(index, _lost(ask, blocks, index))
+                        took(index, _lost(spec, blocks, index))
                 under_way.clear()
 
 
-def _lost(ask: Ask, blocks: Blocks, index: int) -> work.Block:
+def _lost(spec: EnsembleSpec, blocks: Blocks, index: int) -> block.Block:
     """Return a block whose workers died: all of its members have failed."""
     begin, end = blocks.range(index)
-    made = work.empty(ask.setting, ask.rows, end - begin)
+    made = block.empty(spec.common, spec.rows, end - begin)
     made["status"][:] = lib.DAL_EUSER
     made["messages"] = dict.fromkeys(
         range(end - begin), "the worker process of this block of members died repeatedly"

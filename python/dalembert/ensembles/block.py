@@ -19,12 +19,12 @@ from ..run import events
 from ..run.events import CONSISTENCY
 from ..run.integration import SHORT, doubts, quietly
 from ..run.laws import values
+from ..run.options import in_c
 from ..run.runs import OFF_D
-from ..run.scheme import INITIAL
-from ..run.steps import options_of
+from ..run.steps import Steps, how
 from ..system import Expressions, System
 from . import lanes
-from .ask import MEASURES, TAKEN, Ask, Kept, Setting
+from .spec import MEASURES, TAKEN, EnsembleSpec, Output, Common
 
 # What is kept of a `Statistics`, with what to say of it.
 STATISTICS = {
@@ -55,21 +55,12 @@ class Stopped(Exception):
 
 
 def make(
-    setting: Setting, rows: Mapping[str, Array], count: int, stop: threading.Event, show: Show
+    common: Common, rows: Mapping[str, Array], count: int, stop: threading.Event, show: Show
 ) -> Block:
-    """Compute a block of members.
+    """Compute a block of members, whose ``rows`` are those of `EnsembleSpec.block`.
 
-    Parameters
-    ----------
-    setting : Setting
-    rows : dict
-        As for `Ask.block`.
-    count : int
-        Number of members.
-    stop : threading.Event
-        Stops the computation soon; members not computed then have the status DAL_STOPPED.
-    show : callable
-        ``show(done)`` is called several times a second with the number of members done.
+    After ``stop``, members that are not computed have the status DAL_STOPPED.  ``show(done)`` is
+    called several times a second with the number of members done.
     """
 
     def watch(far: float) -> None:
@@ -77,27 +68,28 @@ def make(
             raise Stopped
         show(far)
 
-    if is_in_c(setting):
-        return _by_c(setting, rows, count, watch)
-    return _one_by_one(setting, rows, count, watch)
+    if is_in_c(common):
+        return _by_c(common, rows, count, watch)
+    return _one_by_one(common, rows, count, watch)
 
 
-def is_in_c(setting: Setting) -> bool:
+def is_in_c(common: Common) -> bool:
     """Return whether C computes blocks without Python."""
     return (
-        not setting.system._source.calls_python
-        and not setting.system.positions
-        and setting.scheme._maps is None
-        and setting.kept.reduce is None
-        and not callable(setting.control)
-        and (setting.control is None or setting.control.is_compiled(setting.system))
-        and all(events.is_in_c(setting.system, one) for one in setting.events)
+        not common.system._source.calls_python
+        and not common.system.positions
+        and common.scheme._maps is None
+        and common.output.reduce is None
+        and not callable(common.options.inputs)
+        and (common.options.inputs is None or common.options.inputs.is_compiled(common.system))
+        and common.options.h != "reversible"  # whose doubts need the whole run
+        and all(events.is_in_c(common.system, one) for one in common.events)
     )
 
 
-def layout(setting: Setting, rows: int) -> dict[str, tuple[tuple[int, ...], Any, Any]]:
+def layout(common: Common, rows: int) -> dict[str, tuple[tuple[int, ...], Any, Any]]:
     """Return the shape, type and initial value of each array of a member."""
-    n, m, kept = setting.system.n, setting.system.m, setting.kept
+    n, m, kept = common.system.n, common.system.m, common.output
     found: dict[str, tuple[tuple[int, ...], Any, Any]] = {
         "status": ((), np.int32, lib.DAL_STOPPED),
         "done": ((), np.int64, 0),
@@ -105,9 +97,9 @@ def layout(setting: Setting, rows: int) -> dict[str, tuple[tuple[int, ...], Any,
         "doubtful": ((), np.bool_, False),
         **{name: ((), kind, name == "least_pivot") for name, kind in STATISTICS.items()},
     }
-    if setting.events:
+    if common.events:
         found["ended_by"] = (), np.int64, -1
-        found["happened"] = (len(setting.events),), np.int64, 0
+        found["happened"] = (len(common.events),), np.int64, 0
     shape, intervals = ((), ()) if kept.at_end else ((rows,), (rows - 1,))
     shapes = {name: shape for name in (*kept.columns, "energy", "residual")}
     shapes |= {"multipliers": (*shape, m), "reactions": (*intervals, m),
@@ -116,11 +108,11 @@ def layout(setting: Setting, rows: int) -> dict[str, tuple[tuple[int, ...], Any,
     return found | {name: (shapes[name], np.float64, np.nan) for name in names}
 
 
-def empty(setting: Setting, rows: int, count: int) -> Block:
+def empty(common: Common, rows: int, count: int) -> Block:
     """Return the initial arrays of so many members with so many rows each."""
     arrays = {
         name: np.full((count, *shape), value, kind)
-        for name, (shape, kind, value) in layout(setting, rows).items()
+        for name, (shape, kind, value) in layout(common, rows).items()
     }
     return {**arrays, "messages": {}}
 
@@ -128,50 +120,51 @@ def empty(setting: Setting, rows: int, count: int) -> Block:
 # ---- in C --------------------------------------------------------------------------------------
 
 
-def _by_c(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
-    other = lanes.twin(setting.system) if setting.lanes else None
+def _by_c(common: Common, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
+    other = lanes.twin(common.system) if common.lanes else None
     if other is None:
-        return _in_one_call(setting, rows, count, watch)
-    if isinstance(setting.system._source, Expressions):
-        return _in_one_call(dataclasses.replace(setting, system=other), rows, count, watch)
+        return _in_one_call(common, rows, count, watch)
+    if isinstance(common.system._source, Expressions):
+        return _in_one_call(common.having(system=other), rows, count, watch)
     # of a system that is written in C, what it refuses, and from what its members start
-    kept = Kept(at_end=True, states=True)
-    start = dataclasses.replace(setting, kept=kept, stride=0, lanes=False)
+    kept = Output(at_end=True, states=True)
+    start = dataclasses.replace(common, output=kept, stride=0, lanes=False)
     none = {**rows, "steps": np.zeros(1, np.int64)}
     begun = _in_one_call(start, none, count, watch)
-    setting = dataclasses.replace(setting, system=other, consistent="assume")
-    made = _in_one_call(setting, {**rows, "x": begun["states"]}, count, watch)
+    common = common.having(system=other, consistent="assume")
+    made = _in_one_call(common, {**rows, "x": begun["states"]}, count, watch)
     made["initial_correction"] = begun["initial_correction"]
     for k, text in begun["messages"].items():
         made["status"][k], made["messages"][k] = begun["status"][k], text
     return made
 
 
-def without_lanes(setting: Setting, has_inputs: bool) -> str:
+def without_lanes(common: Common, has_inputs: bool) -> str:
     """Return why members cannot be advanced side by side, "" if they can."""
-    scheme = setting.scheme
+    scheme = common.scheme
     if scheme.nodes != "moved" or scheme.family != "beta":
         return f"the scheme {scheme.name!r} has kept nodes or no sub-steps"
-    given = {"events": setting.events, "energy": setting.energy, "inputs": has_inputs}
+    given = {"events": common.events, "energy": common.options.energy, "inputs": has_inputs}
+    if common.varies:
+        return f"with h = {common.options.h!r} each member has its own step size"
     if there := [name for name, value in given.items() if value]:
         return f"{there[0]} are checked for each member"
-    if not is_in_c(setting):
+    if not is_in_c(common):
         return "Python functions are called for each member"
-    if lanes.twin(setting.system) is None:
+    if lanes.twin(common.system) is None:
         return (
-            f"the system {setting.system.name!r} needs formulas, at most 8 coordinates, constant "
+            f"the system {common.system.name!r} needs formulas, at most 8 coordinates, constant "
             "mass, linear constraints and no force that depends on v"
         )
     return ""
 
 
-def _in_one_call(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
-    system, kept = setting.system, setting.kept
-    stride = setting.stride
-    made = empty(setting, 1 if stride == 0 else int(rows["steps"][0]) // stride + 1, count)
-    members, alive = _members(setting, rows, count, made)
-    record, record_kept = setting.scheme._record_of(system)
-    options = options_of({}, setting.max_iterations, setting.energy)
+def _in_one_call(common: Common, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
+    system, kept = common.system, common.output
+    made = empty(common, common.rows(rows["steps"]), count)
+    members, alive = _members(common, rows, count, made)
+    record, record_kept = common.scheme._record_of(system)
+    options = in_c(common.options.of_c)
     error, context = ffi.new("dal_error *"), ffi.new_handle(watch)
     status = core.attempt(
         lib.dal_ensemble_run, system._handle, record, options, members, 0, count,
@@ -183,7 +176,7 @@ def _in_one_call(setting: Setting, rows: Mapping[str, Array], count: int, watch:
     for name, place in kept.columns.items():
         made[name] = alive["states"][..., place].copy()
     if "ended_by" in made:
-        made["ended_by"][made["ended_by"] == len(setting.events)] = -1
+        made["ended_by"][made["ended_by"] == len(common.events)] = -1
     stats = alive["stats"]
     for name in STATISTICS:
         made[name] = stats[name].astype(STATISTICS[name])
@@ -193,7 +186,7 @@ def _in_one_call(setting: Setting, rows: Mapping[str, Array], count: int, watch:
             status, words = int(made["status"][k]), core.words(alive["errors"] + k, system.kind)
             error = core.failure(status, words + OFF_D * (status == lib.DAL_EOFFD))
         made["status"][k], made["messages"][k] = status_of(error), _message(error)
-    _doubt(setting, rows, stats, alive["doubts"], made)
+    _doubt(common, rows, stats, alive["doubts"], made)
     del record_kept
     return made
 
@@ -216,12 +209,12 @@ def _with_parameters(system: System, rows: Mapping[str, Array], k: int) -> Syste
 
 
 def _members(
-    setting: Setting, rows: Mapping[str, Array], count: int, made: Block
+    common: Common, rows: Mapping[str, Array], count: int, made: Block
 ) -> tuple[Any, dict[str, Any]]:
     """Return the ``dal_members``, and the objects that have to stay alive, by name."""
-    system, kept = setting.system, setting.kept
+    system, kept = common.system, common.output
     given = {name: x for name, x in rows.items() if name != "steps"}
-    steps = rows["steps"][: 1 if setting.stride else None].astype(np.uintp)
+    steps = rows["steps"][: 1 if common.stride else None].astype(np.uintp)
     members = ffi.new("dal_members *")
     for name, x in given.items():
         setattr(members, name, core.pointer(x))
@@ -229,10 +222,16 @@ def _members(
         setattr(members, f"{name}_next", 0 if len(x) == 1 and count > 1 else size // len(x))
     members.steps = ffi.from_buffer("size_t[]", steps)
     members.steps_next = int(len(steps) > 1)
-    members.count, members.t0, members.input_steps = count, setting.t0, setting.hold or 1
-    members.stride, members.lanes = setting.stride, int(setting.lanes)
-    members.consistency = CONSISTENCY[setting.consistent]
-    members.initial = INITIAL[setting.initial] if setting.initial else lib.DAL_INITIAL_NONE
+    asked = common.options
+    members.count, members.t0 = count, asked.t0
+    if common.varies:
+        sizes = Steps.of(asked)
+        members.until, members.input_duration = sizes.t_end, sizes.direction * (asked.hold or 0.0)
+    else:
+        members.input_steps = asked.hold or 1
+    members.stride, members.lanes = common.stride, int(common.lanes)
+    members.consistency = CONSISTENCY[asked.consistent]
+    members.initial = common.scheme._initial(asked.initial)
     states = made.get("states")
     if states is None and kept.columns:
         shape = made[next(iter(kept.columns))].shape
@@ -249,14 +248,14 @@ def _members(
     errors = ffi.new("dal_error[]", count)
     members.errors = errors
     buffers = {"done": made["done"], "doubts": doubts_of}
-    listed, resets, alive_events = _events(setting)
-    if setting.control is not None:
-        law, kept_law = setting.control.in_c(setting.system)
+    listed, resets, alive_events = _events(common)
+    if asked.inputs is not None:
+        law, kept_law = asked.inputs.in_c(common.system)
         law.ctx = ffi.NULL  # the parameters of each member
         members.control = law
         alive_events.append((law, kept_law))
-    if setting.events:
-        members.events, members.event_count = listed, len(setting.events)
+    if common.events:
+        members.events, members.event_count = listed, len(common.events)
         members.resets = resets
         buffers |= {"happened": made["happened"], "ended_by": made["ended_by"]}
     for name, x in buffers.items():
@@ -267,16 +266,16 @@ def _members(
     }  # fmt: skip
 
 
-def _events(setting: Setting) -> tuple[Any, Any, list[Any]]:
+def _events(common: Common) -> tuple[Any, Any, list[Any]]:
     """Return the ``dal_event[]`` and their resets, with the parameters of each member."""
-    found = ffi.new("dal_event[]", max(1, len(setting.events)))
-    resets = ffi.new("dal_law[]", max(1, len(setting.events)))
+    found = ffi.new("dal_event[]", max(1, len(common.events)))
+    resets = ffi.new("dal_law[]", max(1, len(common.events)))
     alive = []
-    for k, one in enumerate(setting.events):
-        g, reset = events.laws(setting.system, one, f"events[{k}]")
-        found[k].g, _, kept = values(setting.system, g)
+    for k, one in enumerate(common.events):
+        g, reset = events.laws(common.system, one, f"events[{k}]")
+        found[k].g, _, kept = values(common.system, g)
         if reset is not None:
-            law, kept_law = reset.in_c(setting.system)
+            law, kept_law = reset.in_c(common.system)
             resets[k] = law[0]
             resets[k].ctx = ffi.NULL  # as that of g
             alive.append((law, kept_law))
@@ -299,10 +298,11 @@ def _stats_type() -> np.dtype[Any]:
 
 
 def _doubt(
-    setting: Setting, rows: Mapping[str, Array], stats: Any, doubts_of: Array, made: Block
+    common: Common, rows: Mapping[str, Array], stats: Any, doubts_of: Array, made: Block
 ) -> None:
     """Mark members whose run deserves a warning."""
-    system, names = setting.system, {*MEASURES} & {*setting.kept.measures}
+    control = common.options.control
+    system, names = common.system, {*MEASURES} & {*common.output.measures}
     suspect = (
         (stats["jump_step"] > 0)
         | (stats["unscaled"] > 0)
@@ -310,6 +310,7 @@ def _doubt(
         | (stats["rank_doubts"] > 0)
         | (stats["least_step"] < SHORT)
         | (stats["worst_residual"] > core.residual_bound(system.n))
+        | (stats["uncontrolled"] * 20 > stats["steps"])
     )
     made["doubtful"] = doubts_of > 0
     for name in names:
@@ -317,40 +318,39 @@ def _doubt(
         made["doubtful"] |= lacks & (made["status"] == 0) & (made.get("ended_by", _NEVER) < 0)
     for k in np.flatnonzero(suspect & (made["status"] == 0)):
         of = SimpleNamespace(**{name: stats[name][k] for name in stats.dtype.names})
-        h = rows["h"][k % len(rows["h"])]
+        h = float(rows["h"][k % len(rows["h"])])
         run = SimpleNamespace(
-            system=system, stats=of, h=float(h), t0=setting.t0, control={}, _how=f"h = {h:g}"
-        )
+            system=system, stats=of, h=h, t0=common.options.t0, control=control,
+            _how=how(h, control),
+        )  # fmt: skip
         made["doubtful"][k] |= any(True for _ in doubts(run))
 
 
 # ---- one by one --------------------------------------------------------------------------------
 
 
-def one(setting: Setting, rows: Mapping[str, Array], k: int, **how: Any) -> Solution:
+def one(common: Common, rows: Mapping[str, Array], k: int, **how: Any) -> Solution:
     """Return the run of member k of a block, as from `integrate`."""
     mine = {name: x[k % len(x)] for name, x in rows.items()}
-    system = _with_parameters(setting.system, rows, k)
-    q0, v0 = np.split(mine["x"], 2) if "x" in mine else (None, None)
-    return integrate(
-        system, setting.scheme, q0, v0, h=float(mine["h"]), steps=int(mine["steps"]),
-        t0=setting.t0, consistent=setting.consistent,
-        initial=setting.initial, max_iterations=setting.max_iterations, hold=setting.hold,
-        energy=setting.energy, events=setting.events,
-        inputs=mine["inputs"] if "inputs" in mine else setting.control, **how,
-    )  # fmt: skip
+    options = vars(common.options) | {"system": _with_parameters(common.system, rows, k)}
+    if not common.varies:
+        options |= {"h": float(mine["h"]), "steps": int(mine["steps"])}
+    if "x" in mine:
+        options["q0"], options["v0"] = np.split(mine["x"], 2)
+    if "inputs" in mine:
+        options["inputs"] = mine["inputs"]
+    return integrate(**options | how)
 
 
-def _one_by_one(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
-    stride = setting.stride
-    made = empty(setting, 1 if stride == 0 else int(rows["steps"][0]) // stride + 1, count)
+def _one_by_one(common: Common, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
+    made = empty(common, common.rows(rows["steps"]), count)
     for k in range(count):
         def progress(done: int, total: int, k: int = k) -> None:
             watch(k + done / max(total, 1))
 
         try:
             watch(k)
-            _keep(setting, made, k, rows, progress)
+            _keep(common, made, k, rows, progress)
         except Stopped:
             break
         except Exception as error:  # of a member: its entry
@@ -360,21 +360,23 @@ def _one_by_one(setting: Setting, rows: Mapping[str, Array], count: int, watch: 
 
 
 def _keep(
-    setting: Setting, made: Block, k: int, rows: Mapping[str, Array], progress: Any
+    common: Common, made: Block, k: int, rows: Mapping[str, Array], progress: Any
 ) -> None:
     """Compute member k, and write its results."""
-    kept = setting.kept
+    kept, reached = common.output, None
+    stride = common.stride or max(1, int(rows["steps"][k % len(rows["steps"])]))
+    check_h = None if common.varies else False
     with quietly() as found:
         try:
-            stride = setting.stride or max(1, int(rows["steps"][k % len(rows["steps"])]))
-            run = one(
-                setting, rows, k, stride=stride, throw=False, progress=progress, check_h=False
-            )
+            run = one(common, rows, k, stride=stride, progress=progress, check_h=check_h)
         except Exception as error:
-            if isinstance(partial := getattr(error, "partial", None), Solution):
-                _count(setting, made, k, partial)  # a function of the user has raised
-            raise
-    _count(setting, made, k, run)
+            if not isinstance(partial := getattr(error, "partial", None), Solution):
+                raise
+            run, reached = partial, getattr(error, "t", None)
+            _count(common, made, k, run, reached)
+            if not isinstance(error, DalembertError):  # a function of the user has raised
+                raise
+    _count(common, made, k, run, reached)
     made["doubtful"][k] = bool(found)
     for name in STATISTICS:
         made[name][k] = getattr(run.stats, name)
@@ -418,22 +420,23 @@ def _measured(run: Solution, name: str) -> Array:
     return values
 
 
-def _count(setting: Setting, made: Block, k: int, run: Solution) -> None:
-    """Write the progress of a run."""
+def _count(common: Common, made: Block, k: int, run: Solution, reached: float | None) -> None:
+    """Write the progress of a run, which failed if it reached a time."""
     made["done"][k] = run.stats.steps
-    made["t_end"][k] = setting.t0 + run.stats.steps * run.h
+    made["t_end"][k] = run.t[-1] if run.times is not None else run.t0 + run.stats.steps * run.h
+    if common.varies and reached is not None:
+        made["t_end"][k] = reached
     for i, times in enumerate(run.t_events):
         made["happened"][k, i] = len(times)
-    if run.times is not None:
-        made["t_end"][k] = run.t[-1]
-        made["ended_by"][k] = _ended_by(setting, run)
+    if run.status == lib.DAL_STOPPED:
+        made["ended_by"][k] = _ended_by(common, run)
 
 
-def _ended_by(setting: Setting, run: Solution) -> int:
+def _ended_by(common: Common, run: Solution) -> int:
     """Return the number of the terminal event that ended the run."""
     last = [times[-1] if len(times) else -np.inf for times in run.t_events]
     ends = [
-        k for k, (one_, times) in enumerate(zip(setting.events, run.t_events))
+        k for k, (one_, times) in enumerate(zip(common.events, run.t_events))
         if one_.terminal and len(times) >= int(one_.terminal) and times[-1] == run.t[-1]
     ]  # fmt: skip
     return ends[0] if ends else int(np.argmax(last))
@@ -478,6 +481,6 @@ def status_of(error: BaseException) -> int:
     return int(next((x for kind, x in kinds.items() if isinstance(error, kind)), lib.DAL_EUSER))
 
 
-def member(ask: Ask, k: int, **how: Any) -> Solution:
+def member(spec: EnsembleSpec, k: int, **how: Any) -> Solution:
     """Compute the run of a member again."""
-    return one(ask.setting, ask.block(k, k + 1), 0, **how)
+    return one(spec.common, spec.block(k, k + 1), 0, **how)
