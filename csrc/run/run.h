@@ -20,7 +20,10 @@ void dal__events_forget(dal_events *events);
 int dal__events_check(const dal_run *run);
 
 /* Whether the size of its steps varies; whether they are all made. */
-static inline bool dal__run_varies(const dal_run *run) { return run->stepper->control->varies; }
+static inline bool dal__run_varies(const dal_run *run)
+{
+    return run->stepper->step_control->varies;
+}
 bool dal__run_is_over(const dal_run *run);
 
 /* The time where row k of inputs begins, of steps whose size varies. */

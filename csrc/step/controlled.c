@@ -36,18 +36,17 @@ enum { ATTEMPTS = 60 };
 /* A step may have this part of tolerance^((p+1)/p): a motion takes some tolerance^(-1/p) steps.
  * Measured: so the state at t = 100 is mostly within a factor 30 of the tolerance. */
 #define PART 0.5
-/* The roundoff of an estimate is below so many u, times the sum of its weights: twice of what was
- * seen; and that of the difference of two states. */
+/* The roundoff of an estimate, and of the difference of two states, is below so many u times the
+ * sum of its weights: twice the measured value. */
 #define ROUNDOFF 64.0
-/* A steady error E leaves h as it is where SAFETY E^-((GAIN-MEMORY)/(p+1)) = 1: for an estimate of
- * roundoff to be below, the one that is allowed has to be 23 times as large for order 10, less for
- * others. */
+/* A steady error E leaves h as it is where SAFETY E^-((GAIN-MEMORY)/(p+1)) = 1.  The allowed
+ * estimate must be 23 times the roundoff for order 10, less for lower orders, or h never grows. */
 #define FAR_FROM_NOISE 32.0
 #define MOST_NOISE 1e4 /* in units of what it is where coordinates are of size 1 */
 /* Steps after which c is measured: some at the beginning, then every so many.  It grows at once
  * and falls slowly, and until it is known it is large. */
 enum { EARLY = 8, OFTEN = 64 };
-#define FIRST_SHARE 1.0
+#define FIRST_RATIO 1.0
 
 static bool wanted(const dal_options *options)
 {
@@ -77,23 +76,23 @@ static int make(dal_stepper *self, const dal_options *options, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected a number from %g "
                          "(roundoff) to %g", tolerance, LEAST_TOLERANCE, MOST_TOLERANCE);
     const int order = self->scheme.order > q ? self->scheme.order : q;
-    dal__pace *made, shape = {.q = q, .order = order, .noise = noise * ROUNDOFF * DAL_ROUNDOFF,
-                              .tolerance = tolerance, .h_max = h_max,
-                              .allowed = PART * pow(tolerance, (order + 1.0) / order)};
-    dal__reserve(&self->vary.arena, &made, 1, sizeof *made);
-    DAL__RESERVE(&self->vary.arena, 2 * self->mech.n, &shape.estimate, &shape.field);
-    dal__snapshot_reserve(self, &shape.after, &self->vary.arena);
-    status = dal__vary_make(self, error);
+    dal__controlled *made, shape = {.q = q, .order = order, .tolerance = tolerance, .h_max = h_max,
+                                    .noise = noise * ROUNDOFF * DAL_ROUNDOFF,
+                                    .allowed = PART * pow(tolerance, (order + 1.0) / order)};
+    dal__reserve(&self->variable.arena, &made, 1, sizeof *made);
+    DAL__RESERVE(&self->variable.arena, 2 * self->mech.n, &shape.estimate, &shape.field);
+    dal__snapshot_reserve(self, &shape.after, &self->variable.arena);
+    status = dal__variable_make(self, error);
     if (status) return status;
     *made = shape;
-    self->controlled = made;
+    self->control_data = made;
     self->guards.allowed = tolerance;
     return DAL_SUCCESS;
 }
 
-static double longest(const dal__pace *pace)
+static double longest(const dal__controlled *data)
 {
-    return pace->h_max > 0.0 ? pace->h_max : (double)INFINITY;
+    return data->h_max > 0.0 ? data->h_max : (double)INFINITY;
 }
 
 static int check(dal_stepper *self, double t, double h)
@@ -118,16 +117,16 @@ static double size(size_t N, const double *x, const double *change)
  * t: where the motion is to end is not known yet. */
 static int find_first(dal_stepper *self, double t, double ahead, const double *x, double *h)
 {
-    dal__pace *const pace = self->controlled;
+    dal__controlled *const data = self->control_data;
     const size_t N = 2 * self->mech.n;
-    double *const f = pace->estimate, *const there = self->vary.before.x;
-    double *const change = pace->field;
+    double *const f = data->estimate, *const there = self->variable.before.x;
+    double *const change = data->field;
     int status = dal_field(&self->mech, t, x, f);
     if (status) return status;
-    const double tolerance = pace->tolerance;
+    const double tolerance = data->tolerance;
     const double place = size(N, x, x) / tolerance, speed = size(N, x, f) / tolerance;
     const double small = place > 1e-5 && speed > 1e-5 ? 0.01 * place / speed : 1e-6;
-    const double one = ahead * fmin(small, longest(pace));
+    const double one = ahead * fmin(small, longest(data));
     dal__move(N, x, one, f, there);
     double turn = 0.0;
     status = dal_field(&self->mech, t, there, change);
@@ -135,21 +134,21 @@ static int find_first(dal_stepper *self, double t, double ahead, const double *x
     for (size_t i = 0; i < N; i++) change[i] -= f[i];
     if (!status) turn = size(N, x, change) / tolerance / fabs(one);
     const double rate = fmax(speed, turn);
-    const double two = rate > 1e-15 ? pow(0.01 / rate, 1.0 / (pace->q + 1.0)) : 1e3 * small;
-    *h = ahead * fmin(fmin(100.0 * small, two), longest(pace));
+    const double two = rate > 1e-15 ? pow(0.01 / rate, 1.0 / (data->q + 1.0)) : 1e3 * small;
+    *h = ahead * fmin(fmin(100.0 * small, two), longest(data));
     return DAL_SUCCESS;
 }
 
 static int start(dal_stepper *self, double t, double h, const double *x, double *first)
 {
-    dal__pace *const pace = self->controlled;
+    dal__controlled *const data = self->control_data;
     const int status = isinf(h) ? find_first(self, t, copysign(1.0, h), x, first) : DAL_SUCCESS;
     if (status) return status;
     if (!isinf(h)) *first = h;
-    pace->h = *first;
-    pace->error = 1.0;
-    pace->share = FIRST_SHARE;
-    pace->seen = 0.0;
+    data->h = *first;
+    data->error = 1.0;
+    data->error_ratio = FIRST_RATIO;
+    data->seen = 0.0;
     return DAL_SUCCESS;
 }
 
@@ -158,44 +157,44 @@ static int start(dal_stepper *self, double t, double h, const double *x, double 
 /* One step from t; *estimate <- the size of the embedded estimate. */
 static int attempt(dal_stepper *self, double t, double h, double *estimate)
 {
-    dal__pace *const pace = self->controlled;
+    dal__controlled *const data = self->control_data;
     dal_motion *const motion = &self->motion;
-    motion->estimate = pace->estimate;
-    const int status = dal__vary_step(self, t, h);
+    motion->estimate = data->estimate;
+    const int status = dal__variable_step(self, t, h);
     motion->estimate = NULL;
-    if (!status) *estimate = size(2 * self->mech.n, motion->x, pace->estimate);
+    if (!status) *estimate = size(2 * self->mech.n, motion->x, data->estimate);
     return status;
 }
 
 /* The roundoff of the estimate, as far as it is known. */
-static double roundoff(const dal__pace *pace) { return fmax(pace->noise, pace->seen); }
+static double roundoff(const dal__controlled *data) { return fmax(data->noise, data->seen); }
 
 /* The error of a step by its estimate, in units of what it may be.  An estimate that is roundoff is
  * so for any h: it has to look small, for the next step to be longer.  *beyond <- the same in units
  * of what the tolerance alone allows. */
-static double error_of(const dal__pace *pace, double estimate, double *beyond)
+static double error_of(const dal__controlled *data, double estimate, double *beyond)
 {
-    const double power = (pace->order + 1.0) / (pace->q + 1.0);
-    const double least = pace->share * pow(FAR_FROM_NOISE * roundoff(pace), power);
-    const double error = pace->share * pow(estimate, power);
-    *beyond = error / pace->allowed;
-    return error / fmax(pace->allowed, least);
+    const double power = (data->order + 1.0) / (data->q + 1.0);
+    const double least = data->error_ratio * pow(FAR_FROM_NOISE * roundoff(data), power);
+    const double error = data->error_ratio * pow(estimate, power);
+    *beyond = error / data->allowed;
+    return error / fmax(data->allowed, least);
 }
 
 /* What the estimates of a step and of one of twice the length tell of their roundoff: one that does
  * not grow with h is nothing else, as where coordinates have become large. */
-static void look_at_roundoff(dal__pace *pace, double estimate, double twice)
+static void look_at_roundoff(dal__controlled *data, double estimate, double twice)
 {
-    const bool grows = twice > estimate * pow(2.0, 0.5 * (pace->q + 1.0));
-    const bool small = estimate < MOST_NOISE * pace->noise;
-    pace->seen = grows || !small ? 0.5 * pace->seen : fmax(pace->seen, estimate);
+    const bool grows = twice > estimate * pow(2.0, 0.5 * (data->q + 1.0));
+    const bool small = estimate < MOST_NOISE * data->noise;
+    data->seen = grows || !small ? 0.5 * data->seen : fmax(data->seen, estimate);
 }
 
 /* Change of v by the rounding of q' and t, where D is not linear: no h makes an estimate
  * less.  Whether that was not known. */
 static bool look_at_moves(dal_stepper *self, double t)
 {
-    dal__pace *const pace = self->controlled;
+    dal__controlled *const data = self->control_data;
     dal_mechanics *const mech = &self->mech;
     const double *const v = self->motion.x + mech->n;
     if (mech->eval.system->def.kind == DAL_LINEAR) return false;
@@ -203,9 +202,9 @@ static bool look_at_moves(dal_stepper *self, double t)
     double unit = 0.0;
     for (size_t i = 0; i < mech->n; i++)
         unit = fmax(unit, mech->metric.unit[i] / (1.0 + fabs(v[i])));
-    const double noise = pace->noise / ROUNDOFF * unit * dal__velocity_moves(mech, t, 0.0, v);
-    if (!(noise > roundoff(pace) && noise < HUGE_VAL)) return false;
-    pace->seen = noise;
+    const double noise = data->noise / ROUNDOFF * unit * dal__velocity_moves(mech, t, 0.0, v);
+    if (!(noise > roundoff(data) && noise < HUGE_VAL)) return false;
+    data->seen = noise;
     return true;
 }
 
@@ -214,28 +213,28 @@ static bool look_at_moves(dal_stepper *self, double t)
  * says nothing. */
 static int measure_share(dal_stepper *self, double t, double h, double estimate)
 {
-    dal__pace *const pace = self->controlled;
+    dal__controlled *const data = self->control_data;
     dal_motion *const motion = &self->motion;
     const size_t N = 2 * self->mech.n;
-    double *const difference = pace->field;
+    double *const difference = data->field;
     double twice;
-    dal__snapshot_take(self, &pace->after);
+    dal__snapshot_take(self, &data->after);
     int status = attempt(self, t + h, h, &twice);
     if (!status) {
         memcpy(difference, motion->x, N * sizeof *difference);
-        dal__snapshot_restore(self, &self->vary.before);
+        dal__snapshot_restore(self, &self->variable.before);
         status = attempt(self, t, 2.0 * h, &twice);
     }
     if (!status) {
         for (size_t i = 0; i < N; i++) difference[i] -= motion->x[i];
         const double error = size(N, motion->x, difference);
-        const double share = error / pow(twice, (pace->order + 1.0) / (pace->q + 1.0));
-        look_at_roundoff(pace, estimate, twice);
-        if (twice > roundoff(pace) && error > ROUNDOFF * DAL_ROUNDOFF && share < HUGE_VAL)
-            pace->share = pace->share == FIRST_SHARE || share > pace->share
-                              ? share : sqrt(share * pace->share);
+        const double ratio = error / pow(twice, (data->order + 1.0) / (data->q + 1.0));
+        look_at_roundoff(data, estimate, twice);
+        if (twice > roundoff(data) && error > ROUNDOFF * DAL_ROUNDOFF && ratio < HUGE_VAL)
+            data->error_ratio = data->error_ratio == FIRST_RATIO || ratio > data->error_ratio
+                              ? ratio : sqrt(ratio * data->error_ratio);
     }
-    dal__snapshot_restore(self, &pace->after);
+    dal__snapshot_restore(self, &data->after);
     return dal__is_final(status) ? status : DAL_SUCCESS;
 }
 
@@ -250,11 +249,11 @@ static bool is_time(const dal_stepper *self, double t, double h)
 /* The length of a step of about h from t: not beyond the end, nor so that a short one is left. */
 static double fit(const dal_stepper *self, double t, double h)
 {
-    const dal__pace *const pace = self->controlled;
+    const dal__controlled *const data = self->control_data;
     const double left = self->until - t;
-    h = copysign(fmin(fabs(h), longest(pace)), h);
+    h = copysign(fmin(fabs(h), longest(data)), h);
     if (fabs(h) >= fabs(left)) {
-        const double last = dal__vary_last(self, t);
+        const double last = dal__variable_last(self, t);
         if (t + last == self->until) return last;
         h = 0.75 * left; /* no number leads there from t, and from there one does */
     } else if (2.0 * fabs(h) > fabs(left)) {
@@ -264,20 +263,20 @@ static double fit(const dal_stepper *self, double t, double h)
 }
 
 /* The change of h after an error, of which the step before had another. */
-static double change(const dal__pace *pace, double error)
+static double change(const dal__controlled *data, double error)
 {
-    const double power = 1.0 / (pace->order + 1.0);
+    const double power = 1.0 / (data->order + 1.0);
     return fmin(fmax(SAFETY * pow(fmax(error, SMALLEST), -GAIN * power)
-                         * pow(pace->error, MEMORY * power), LEAST), MOST);
+                         * pow(data->error, MEMORY * power), LEAST), MOST);
 }
 
 static int one_step(dal_stepper *self)
 {
-    dal__pace *const pace = self->controlled;
+    dal__controlled *const data = self->control_data;
     dal_motion *const motion = &self->motion;
-    const double t = dal_stepper_time(self), power = 1.0 / (pace->order + 1.0);
-    double h = pace->h;
-    dal__snapshot_take(self, &self->vary.before);
+    const double t = dal_stepper_time(self), power = 1.0 / (data->order + 1.0);
+    double h = data->h;
+    dal__snapshot_take(self, &self->variable.before);
     for (int k = 1;; k++) {
         const double length = fit(self, t, h);
         const bool whole = fabs(length) >= fabs(h) - 4.0 * DAL_ROUNDOFF * (fabs(t) + fabs(h));
@@ -285,15 +284,15 @@ static int one_step(dal_stepper *self)
         int status = length == 0.0 || !isfinite(length) ? DAL_ENOCONV
                                                        : attempt(self, t, length, &estimate);
         if (!status && is_time(self, t, length)) status = measure_share(self, t, length, estimate);
-        if (!status) error = error_of(pace, estimate, &beyond);
+        if (!status) error = error_of(data, estimate, &beyond);
         if (!status && error > 1.0 && look_at_moves(self, t + length))
-            error = error_of(pace, estimate, &beyond);
+            error = error_of(data, estimate, &beyond);
         if (!status && error <= 1.0) {
-            const double factor = change(pace, error);
+            const double factor = change(data, error);
             const double next = length * (k > 1 ? fmin(factor, 1.0) : factor);
             /* a step that was cut short says less than the size that was meant */
-            pace->h = whole || fabs(next) > fabs(h) ? next : h;
-            pace->error = fmax(error, SMALLEST);
+            data->h = whole || fabs(next) > fabs(h) ? next : h;
+            data->error = fmax(error, SMALLEST);
             motion->stats->uncontrolled += beyond > BEYOND;
             return DAL_SUCCESS;
         }
@@ -301,35 +300,36 @@ static int one_step(dal_stepper *self)
         h = length * fmax(LEAST_AFTER_FAILURE, SAFETY * pow(error, -power));
         /* steps of some roundings of t would come closer to the edge of a domain for ever */
         const bool hopeless = k == ATTEMPTS || fabs(h) <= 16.0 * DAL_ROUNDOFF * fabs(t);
-        dal__snapshot_restore(self, &self->vary.before);
+        dal__snapshot_restore(self, &self->variable.before);
         motion->t0 = t;
         motion->first = motion->steps;
         if (dal__is_final(status) || (hopeless && status)) return status;
         if (hopeless)
             return dal__fail(motion->error, DAL_ENOCONV, "no step is short enough: with h = %g the "
                              "estimated error is %g times the tolerance %g", length, error,
-                             pace->tolerance);
+                             data->tolerance);
         motion->stats->rejected++;
     }
 }
 
 static int step(dal_stepper *self, size_t steps, size_t *made)
 {
+    const dal__controlled *const data = self->control_data;
     (void)steps; /* one at a time */
-    return dal__vary_advance(self, one_step, &((const dal__pace *)self->controlled)->h, made);
+    return dal__variable_advance(self, one_step, &data->h, made);
 }
 
 static void save(dal_stepper *self, dal__archive *a)
 {
-    dal__pace *const pace = self->controlled;
-    dal__archive_same(a, "tolerance", pace->tolerance);
-    dal__archive_same(a, "h_max", pace->h_max);
-    dal__archive_ahead(a, &pace->h);
-    dal__archive_positive(a, &pace->error);
-    dal__archive_positive(a, &pace->share);
-    dal__archive_real(a, &pace->seen);
+    dal__controlled *const data = self->control_data;
+    dal__archive_same(a, "tolerance", data->tolerance);
+    dal__archive_same(a, "h_max", data->h_max);
+    dal__archive_ahead(a, &data->h);
+    dal__archive_positive(a, &data->error);
+    dal__archive_positive(a, &data->error_ratio);
+    dal__archive_real(a, &data->seen);
 }
 
-const dal__control dal__controlled_steps = {
+const dal__step_control dal__controlled_steps = {
     .name = "error-controlled steps", .varies = true, .wanted = wanted, .make = make,
     .check = check, .start = start, .step = step, .save = save};

@@ -1,5 +1,5 @@
 /* Steps of one size h. */
-#include "step/control.h"
+#include "step/step_control.h"
 
 #include "step/stepper.h"
 
@@ -9,5 +9,5 @@ static bool wanted(const dal_options *options)
     return true; /* unless the options ask for others */
 }
 
-const dal__control dal__fixed_steps = {.name = "steps of fixed size", .wanted = wanted,
+const dal__step_control dal__fixed_steps = {.name = "steps of fixed size", .wanted = wanted,
                                  .check = dal__stepper_check_times, .step = dal__scheme_steps};

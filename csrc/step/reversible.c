@@ -5,7 +5,7 @@
  * are symmetric: with v turned round, or eps, the same steps lead back.
  *
  * The rate, by the acceleration a and the jerk j, lengths being those of M, is
- *   sigma^2 = own^2 + fastest^2 (LEAST^2 + SHARE^2 |v|^2 / v0^2),
+ *   sigma^2 = own^2 + fastest^2 (LEAST^2 + BY_SPEED^2 |v|^2 / v0^2),
  *   own^4 = (|a|^2 / s^2)^2 + (|j| / s)^2,   s^2 = |v|^2 + v0^2,
  * where v0 and fastest are the largest |v| and own so far.  The last term bounds the distance of a
  * step: own vanishes where nothing pushes, just before a wall too.  sigma is smooth where own is
@@ -28,7 +28,7 @@
  * passes: by the step before alone the way back would have another G. */
 enum { PASSES = 4 };
 #define LEAST 0.02
-#define SHARE 0.36 /* a rate that crosses 0 then changes by at most half of itself in a step */
+#define BY_SPEED 0.36 /* a rate that crosses 0 then changes by at most half of itself in a step */
 /* With rho / sigma beyond these bounds eps was too large.  For all records it stays in 0.9 to 1.1
  * up to MOST_EPS. */
 #define LOW 0.625
@@ -40,7 +40,7 @@ enum { PASSES = 4 };
 #define MOST_ERROR 1e-3
 #define REGULAR 0.25
 #define FIRST_PART 0.01
-#define ROUNDOFF 64.0   /* of an estimate: so many u times the sum of its weights, as in pace.c */
+#define ROUNDOFF 64.0   /* of an estimate, as in controlled.c */
 #define NEW_SCALE 1.05  /* growth of the square of a scale in a step that makes it so */
 #define FIRST 1e-4      /* the first step, in times that the initial state has */
 enum { ATTEMPTS = 200 };
@@ -121,13 +121,13 @@ static int make(dal_stepper *self, const dal_options *options, dal_error *error)
     dal__reversible *made, shape = {.eps = options->eps,
                                     .most_error = fmax(MOST_ERROR, pow(REGULAR, q + 1.0)),
                                     .noise = noise * ROUNDOFF * DAL_ROUNDOFF};
-    dal__reserve(&self->vary.arena, &made, 1, sizeof *made);
-    DAL__RESERVE(&self->vary.arena, dal__times(2, n), &shape.field, &shape.away, &shape.there,
+    dal__reserve(&self->variable.arena, &made, 1, sizeof *made);
+    DAL__RESERVE(&self->variable.arena, dal__times(2, n), &shape.field, &shape.away, &shape.there,
                  &shape.jerk, &shape.estimate);
-    const int failed = dal__vary_make(self, error);
+    const int failed = dal__variable_make(self, error);
     if (failed) return failed;
     *made = shape;
-    self->controlled = made;
+    self->control_data = made;
     return DAL_SUCCESS;
 }
 
@@ -148,13 +148,13 @@ static double square(dal_stepper *self, const double *w)
 }
 
 /* own^2 and |v|^2 in the middle between x, where the field is known, and a time later. */
-typedef struct pace {
+typedef struct rates {
     double own2, v2;
-} pace;
+} rates;
 
-static int look(dal_stepper *self, double t, double time, double v02, pace *at)
+static int look(dal_stepper *self, double t, double time, double v02, rates *at)
 {
-    const dal__reversible *const of = self->controlled;
+    const dal__reversible *const of = self->control_data;
     const size_t n = self->mech.n;
     const double *const x = self->motion.x, *const a0 = of->field + n, *const a1 = of->there + n;
     double *const w = self->mech.w;
@@ -187,7 +187,7 @@ static int measure(dal_stepper *self, double t, dal__reversible *after, double *
     after->speed = fmax(after->speed, square(self, self->motion.x + n));
     for (int pass = 0; !status && pass < PASSES; pass++) {
         const double time = REACH * after->eps / mean;
-        pace side[2] = {{0}};
+        rates side[2] = {{0}};
         double rate[2];
         for (int k = 0; !status && k < 2; k++)
             status = look(self, t, k ? -time : time, after->speed, &side[k]);
@@ -198,7 +198,7 @@ static int measure(dal_stepper *self, double t, dal__reversible *after, double *
         for (int k = 0; k < 2; k++)
             rate[k] = sqrt(side[k].own2
                            + after->fastest * (LEAST * LEAST
-                                               + SHARE * SHARE * side[k].v2 / after->speed));
+                                               + BY_SPEED * BY_SPEED * side[k].v2 / after->speed));
         *sigma = 0.5 * (rate[0] + rate[1]);
         *change = *sigma > 0.0 ? dal__stepper_ahead(self) * after->eps * (rate[0] - rate[1])
                                      / (*sigma * time) : 0.0;
@@ -213,7 +213,7 @@ static int measure(dal_stepper *self, double t, dal__reversible *after, double *
 static int start(dal_stepper *self, double t, double h, const double *x, double *first)
 {
     const size_t n = self->mech.n;
-    dal__reversible *const begin = self->controlled;
+    dal__reversible *const begin = self->control_data;
     const int status = dal_field(&self->mech, t, x, begin->field);
     if (status) return status;
     const double q = sqrt(square(self, x)), v = sqrt(square(self, x + n));
@@ -240,7 +240,7 @@ static int attempt(dal_stepper *self, double t, double h, double *error, dal__re
 {
     dal_motion *const motion = &self->motion;
     motion->estimate = after->estimate;
-    int status = dal__vary_step(self, t, h);
+    int status = dal__variable_step(self, t, h);
     motion->estimate = NULL;
     if (!status) status = measure(self, t, after, sigma, change);
     if (status) return status;
@@ -256,17 +256,17 @@ static int attempt(dal_stepper *self, double t, double h, double *error, dal__re
 
 static int one_step(dal_stepper *self)
 {
-    dal__reversible *const of = self->controlled;
+    dal__reversible *const of = self->control_data;
     dal_motion *const motion = &self->motion;
     const double t = dal_stepper_time(self), left = self->until - t;
     dal__reversible now = *of;
     size_t resets = 0;
-    dal__snapshot_take(self, &self->vary.before);
+    dal__snapshot_take(self, &self->variable.before);
     for (int k = 1;; k++) {
         const double whole = dal__stepper_ahead(self) * now.eps / now.rho;
         /* what would be left of 1e-9 h is not worth a step */
         const bool last = fabs(whole) >= (1.0 - 1e-9) * fabs(left);
-        const double h = last ? dal__vary_last(self, t) : (t + whole) - t;
+        const double h = last ? dal__variable_last(self, t) : (t + whole) - t;
         dal__reversible after = now;
         double error = 0.0, sigma = 0.0, change = 0.0;
         int status = DAL_EDOMAIN;
@@ -291,7 +291,7 @@ static int one_step(dal_stepper *self)
             motion->stats->resets += resets;
             return DAL_SUCCESS;
         }
-        dal__snapshot_restore(self, &self->vary.before);
+        dal__snapshot_restore(self, &self->variable.before);
         const bool hopeless = k == ATTEMPTS || !(fabs(h) > 16.0 * DAL_ROUNDOFF * fabs(t));
         if (dal__is_final(status) || (hopeless && motion->error->text[0])) return status;
         if (hopeless)
@@ -308,14 +308,14 @@ static int one_step(dal_stepper *self)
 static int step(dal_stepper *self, size_t steps, size_t *made)
 {
     (void)steps; /* one at a time */
-    return dal__vary_advance(self, one_step, &self->motion.h, made);
+    return dal__variable_advance(self, one_step, &self->motion.h, made);
 }
 
-static void land(dal_stepper *self) { ((dal__reversible *)self->controlled)->settled = false; }
+static void land(dal_stepper *self) { ((dal__reversible *)self->control_data)->settled = false; }
 
 static void save(dal_stepper *self, dal__archive *a)
 {
-    dal__reversible *const of = self->controlled;
+    dal__reversible *const of = self->control_data;
     dal__archive_same(a, "eps", of->eps);
     dal__archive_positive(a, &of->rho);
     dal__archive_size(a, &of->speed);
@@ -323,6 +323,6 @@ static void save(dal_stepper *self, dal__archive *a)
     dal__archive_flag(a, &of->settled);
 }
 
-const dal__control dal__reversible_steps = {
+const dal__step_control dal__reversible_steps = {
     .name = "reversible steps", .varies = true, .wanted = wanted, .make = make, .check = check,
     .start = start, .step = step, .land = land, .save = save};

@@ -17,7 +17,7 @@
 #include "step/scaling.h"
 
 #include "step/stepper.h"
-#include "step/vary.h"
+#include "step/variable.h"
 
 #include <math.h>
 #include <string.h>

@@ -15,7 +15,7 @@ static void form_head(const dal_stepper *self, double head[HEAD])
     head[1] = (double)self->mech.n;
     head[2] = (double)self->mech.m;
     head[3] = self->identity;
-    head[4] = dal__digest_text(self->control->name);
+    head[4] = dal__digest_text(self->step_control->name);
 }
 
 static void save_counts(dal_stepper *self, dal__archive *a)
@@ -45,7 +45,7 @@ static void save(dal_stepper *self, dal__archive *a)
     dal__archive_counter(a, &motion->first);
     dal__archive_same(a, "keep_energy", self->scaling.wanted);
     dal__archive_any(a, &self->scaling.energy);
-    if (self->control->save) self->control->save(self, a);
+    if (self->step_control->save) self->step_control->save(self, a);
     save_counts(self, a);
     dal__energy_jump_save(&self->energy_jump, a);
     dal__creep_save(&self->guards.creep, a);
@@ -109,7 +109,7 @@ static int check_head(dal_stepper *self, const double *values, size_t count)
                          values[1], values[2], head[1], head[2], self->scheme.name);
     if (count > 4 && values[4] != head[4])
         return dal__fail(&self->error, DAL_EINVAL, "values[4] = %.17g: not the saved state of %s",
-                         values[4], self->control->name);
+                         values[4], self->step_control->name);
     if (count == dal_stepper_saved(self)) return DAL_SUCCESS;
     return dal__fail(&self->error, DAL_EINVAL, "count = %zu: expected %zu numbers", count,
                      dal_stepper_saved(self));
@@ -128,9 +128,9 @@ static int check_motion(dal_stepper *self, const double *values)
     if (!isfinite(t + (steps - first + 1.0) * h))
         return dal__fail(&self->error, DAL_EINVAL, "values[%d] = %g: so many steps of h = %g from "
                          "t = %g do not reach a finite time", HEAD + 2, steps, h, t);
-    if (self->control->varies ? !(first <= steps) : first != 0.0)
+    if (self->step_control->varies ? !(first <= steps) : first != 0.0)
         return dal__fail(&self->error, DAL_EINVAL, "values[%d] = %g: not the saved state of %s",
-                         HEAD + 3, first, self->control->name);
+                         HEAD + 3, first, self->step_control->name);
     return DAL_SUCCESS;
 }
 

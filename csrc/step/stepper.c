@@ -68,8 +68,9 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     status = allocate(&self, system, scheme, options, error);
     if (status) return status;
     if (family->make) status = family->make(&self->method, &self->motion, error);
-    self->control = dal__control_of(options);
-    if (!status && self->control->make) status = self->control->make(self, options, error);
+    self->step_control = dal__step_control_of(options);
+    if (!status && self->step_control->make)
+        status = self->step_control->make(self, options, error);
     if (!status) status = dal__scaling_make(self, options, error);
     if (!status) status = dal__remake_make(self, error);
     if (status) {
@@ -86,7 +87,7 @@ void dal_stepper_free(dal_stepper *stepper)
 {
     if (!stepper) return;
     if (stepper->method && stepper->family->free) stepper->family->free(stepper->method);
-    dal__release(&stepper->vary.arena);
+    dal__release(&stepper->variable.arena);
     dal__release(&stepper->scaling.arena);
     dal__release(&stepper->remake.arena);
     arena memory = stepper->arena; /* the object lies inside it */
@@ -102,7 +103,7 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     const bool kept = self->scheme.nodes == DAL_KEPT_NODES;
     dal_error *const error = &self->error;
     if (!x) return dal__fail(error, DAL_EINVAL, "x is NULL");
-    const int status = self->control->check(self, t0, h);
+    const int status = self->step_control->check(self, t0, h);
     if (status) return status;
     for (size_t i = 0; i < 2 * n; i++)
         if (!isfinite(x[i]))
@@ -244,8 +245,8 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     if (!status)
         status = dal__energy_jump_start(&jump, &self->mech, self->scheme.order, shift, self->fresh);
     if (!status) status = dal__scaling_start(self, self->fresh, &kept);
-    if (!status && self->control->start)
-        status = self->control->start(self, t0, h, self->fresh, &first);
+    if (!status && self->step_control->start)
+        status = self->step_control->start(self, t0, h, self->fresh, &first);
     if (status) {
         self->error = self->mech.error;
         return status;
@@ -305,7 +306,7 @@ int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
         stepper->error = stepper->mech.error;
         return status;
     }
-    if (stepper->control->land) stepper->control->land(stepper);
+    if (stepper->step_control->land) stepper->step_control->land(stepper);
     if (stepper->energy_jump.step == 0) stepper->energy_jump = jump;
     stepper->scaling.energy = kept;
     memcpy(motion->x, x, 2 * stepper->mech.n * sizeof *x);
@@ -325,7 +326,7 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
         size_t done = 0;
         motion->error->text[0] = '\0';
         if (dal_stepper_time(self) == self->until) return DAL_SUCCESS;
-        const int status = self->control->step(self, next < left ? next : left, &done);
+        const int status = self->step_control->step(self, next < left ? next : left, &done);
         motion->steps += done;
         *made += done;
         if (status && !motion->error->text[0]) /* a family of the user's that says nothing */
@@ -355,8 +356,8 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
         return dal__fail(&stepper->error, DAL_EINVAL, "the stepper has reached the end of its "
                          "steps, t = %g; set a later end", dal_stepper_time(stepper));
     if (status || !reaction || steps == 0) return status;
-    const double elapsed = stepper->control->varies ? dal_stepper_time(stepper) - begin
-                                               : (double)steps * stepper->motion.h;
+    const double elapsed = stepper->step_control->varies ? dal_stepper_time(stepper) - begin
+                                                         : (double)steps * stepper->motion.h;
     return dal__stepper_reaction(stepper, elapsed, reaction);
 }
 

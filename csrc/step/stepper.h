@@ -3,12 +3,12 @@
 #define DAL__STEPPER_H
 
 #include "dalembert/family.h"
-#include "step/control.h"
+#include "step/step_control.h"
 #include "step/guard.h"
 #include "step/energy_jump.h"
 #include "step/remake.h"
 #include "step/scaling.h"
-#include "step/vary.h"
+#include "step/variable.h"
 
 struct dal_stepper {
     dal_motion motion;
@@ -23,10 +23,10 @@ struct dal_stepper {
     double *applied;       /* [inputs] in whose D the state is, if constraints depend on them */
     dal__energy_jump energy_jump;
     struct dal__guards guards;
-    const dal__control *control;
-    void *controlled;      /* what it has made */
+    const dal__step_control *step_control;
+    void *control_data;    /* made by step_control */
     double until;          /* a time at which a step is to end, or infinite */
-    dal__vary vary;
+    dal__variable variable;
     dal__scaling scaling;
     dal__remake remake;
     dal__guard guard;

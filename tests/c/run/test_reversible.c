@@ -9,7 +9,7 @@
 
 enum { MOST_2N = 16, MOST = 4000 };
 
-static dal__reversible *of_steps(const dal_stepper *stepper) { return stepper->controlled; }
+static dal__reversible *of_steps(const dal_stepper *stepper) { return stepper->control_data; }
 
 /* ---- orbit: a planet that turns a screw -----------------------------------------------------
  * Kepler's motion of (x, y), V = -1 / sqrt(x^2 + y^2), and z' = c (x y' - y x'), with masses 1.

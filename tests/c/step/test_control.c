@@ -10,39 +10,39 @@ static int make(dal_stepper *self, const dal_options *options, dal_error *error)
 {
     bool *long_one;
     (void)options;
-    dal__reserve(&self->vary.arena, &long_one, 1, sizeof *long_one);
-    const int status = dal__vary_make(self, error);
-    if (!status) *(bool *)(self->controlled = long_one) = false;
+    dal__reserve(&self->variable.arena, &long_one, 1, sizeof *long_one);
+    const int status = dal__variable_make(self, error);
+    if (!status) *(bool *)(self->control_data = long_one) = false;
     return status;
 }
 
 static int step(dal_stepper *self, size_t steps, size_t *made)
 {
-    bool *const long_one = self->controlled;
+    bool *const long_one = self->control_data;
     const double t = dal_stepper_time(self), ratio = *long_one ? 2.0 : 0.5;
     const double h = self->motion.steps == 0 ? self->motion.h : ratio * self->motion.h;
     (void)steps;
-    const int status = dal__vary_step(self, t, h);
+    const int status = dal__variable_step(self, t, h);
     if (!status) *long_one = !*long_one;
     *made = !status;
     return status;
 }
 
 /* In another state the short step comes first. */
-static void land(dal_stepper *self) { *(bool *)self->controlled = false; }
+static void land(dal_stepper *self) { *(bool *)self->control_data = false; }
 
-static void save(dal_stepper *self, dal__archive *a) { dal__archive_flag(a, self->controlled); }
+static void save(dal_stepper *self, dal__archive *a) { dal__archive_flag(a, self->control_data); }
 
-static const dal__control in_turn = {.name = "steps of h and 2 h in turn", .varies = true,
-                                     .make = make, .check = dal__stepper_check_times, .step = step,
-                                     .land = land, .save = save};
+static const dal__step_control in_turn = {.name = "steps of h and 2 h in turn", .varies = true,
+                                          .make = make, .check = dal__stepper_check_times,
+                                          .step = step, .land = land, .save = save};
 
 /* ---- what it does ----------------------------------------------------------------------- */
 
 static dal_stepper *controlled(const dal_system *system, const dal_scheme *scheme)
 {
     dal_stepper *const stepper = open_stepper(system, scheme, NULL);
-    stepper->control = &in_turn;
+    stepper->step_control = &in_turn;
     need(make(stepper, NULL, NULL), "control", "make");
     return stepper;
 }

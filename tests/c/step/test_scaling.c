@@ -565,9 +565,10 @@ static void test_any_size(void)
             CHECK(dal_stepper_time(stepper) == end);
             /* a step that is taken back does not count */
             const double undone = stepper->energy_jump.undone;
-            dal__snapshot_take(stepper, &stepper->vary.before);
-            CHECK(dal__vary_step(stepper, end, 0.1) == 0 && stepper->energy_jump.undone != undone);
-            dal__snapshot_restore(stepper, &stepper->vary.before);
+            dal__snapshot_take(stepper, &stepper->variable.before);
+            CHECK(dal__variable_step(stepper, end, 0.1) == DAL_SUCCESS);
+            CHECK(stepper->energy_jump.undone != undone);
+            dal__snapshot_restore(stepper, &stepper->variable.before);
             CHECK(stepper->energy_jump.undone == undone);
             for (size_t i = 0; i < 2 * system->def.n; i++)
                 CHECK_NEAR(dal_stepper_state(stepper)[i], dal_stepper_state(reference)[i], 1e-6);

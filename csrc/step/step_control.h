@@ -1,13 +1,13 @@
-/* control.h - the interface of the controls of the step size. */
-#ifndef DAL__CONTROL_H
-#define DAL__CONTROL_H
+/* step_control.h - the interface of the controls of the step size. */
+#ifndef DAL__STEP_CONTROL_H
+#define DAL__STEP_CONTROL_H
 
 #include "dalembert.h"
 #include "ground/archive.h"
 
-/* A control determines the size of the steps.  Each is a file, and control.c lists them; its data
- * are stepper->controlled. */
-typedef struct dal__control {
+/* A control determines the size of the steps.  Each is a file, and step_control.c lists them; its
+ * data are stepper->control_data. */
+typedef struct dal__step_control {
     const char *name;        /* "steps of fixed size" */
     bool varies;             /* each step begins where the one before ended, and has its own size;
                                 a run of them is for a time, stepper->until, not for a number */
@@ -27,8 +27,8 @@ typedef struct dal__control {
     void (*land)(dal_stepper *stepper);
     /* The data that the next step depends on.  NULL: none. */
     void (*save)(dal_stepper *stepper, dal__archive *a);
-} dal__control;
-extern const dal__control dal__fixed_steps, dal__controlled_steps, dal__reversible_steps;
-const dal__control *dal__control_of(const dal_options *options);
+} dal__step_control;
+extern const dal__step_control dal__fixed_steps, dal__controlled_steps, dal__reversible_steps;
+const dal__step_control *dal__step_control_of(const dal_options *options);
 
-#endif /* DAL__CONTROL_H */
+#endif /* DAL__STEP_CONTROL_H */

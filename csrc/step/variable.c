@@ -1,17 +1,17 @@
 /* Steps whose size varies: each begins where the one before ended. */
-#include "step/vary.h"
+#include "step/variable.h"
 
 #include "step/stepper.h"
 
 #include <math.h>
 
-int dal__vary_make(dal_stepper *self, dal_error *error)
+int dal__variable_make(dal_stepper *self, dal_error *error)
 {
-    dal__snapshot_reserve(self, &self->vary.before, &self->vary.arena);
-    return dal__allocate(&self->vary.arena, error);
+    dal__snapshot_reserve(self, &self->variable.before, &self->variable.arena);
+    return dal__allocate(&self->variable.arena, error);
 }
 
-int dal__vary_step(dal_stepper *self, double t, double h)
+int dal__variable_step(dal_stepper *self, double t, double h)
 {
     dal_motion *const motion = &self->motion;
     size_t done = 0;
@@ -23,8 +23,8 @@ int dal__vary_step(dal_stepper *self, double t, double h)
     return dal__scheme_steps(self, 1, &done);
 }
 
-int dal__vary_advance(dal_stepper *self, int (*step)(dal_stepper *stepper), const double *h,
-                      size_t *made)
+int dal__variable_advance(dal_stepper *self, int (*step)(dal_stepper *stepper), const double *h,
+                          size_t *made)
 {
     struct dal__guards *const guards = &self->guards;
     dal_motion *const motion = &self->motion;
@@ -38,7 +38,7 @@ int dal__vary_advance(dal_stepper *self, int (*step)(dal_stepper *stepper), cons
     return status;
 }
 
-double dal__vary_last(const dal_stepper *self, double t)
+double dal__variable_last(const dal_stepper *self, double t)
 {
     const double until = self->until, left = until - t;
     for (int ahead = -1; ahead <= 1; ahead += 2) { /* t + left may be rounded to its neighbour */
@@ -52,7 +52,7 @@ int dal_stepper_until(dal_stepper *stepper, double t)
 {
     if (!stepper) return DAL_EINVAL;
     dal_error *const error = &stepper->error;
-    if (!stepper->control->varies)
+    if (!stepper->step_control->varies)
         return dal__fail(error, DAL_EUNSUPPORTED, "until needs steps of variable size; this "
                          "stepper has a fixed h");
     const int status = dal__stepper_started(stepper);
