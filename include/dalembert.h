@@ -179,8 +179,8 @@ typedef struct dal_sparsity {
 typedef enum dal_steady {
     DAL_STEADY_DECLARED = 1, /* every step checks it, with an evaluation of mu */
     DAL_STEADY_PROVED = 2,   /* it is not checked: for code derived from formulas */
-    DAL_STEADY_EVEN = 3      /* moreover V does not act on a coordinate that mu depends on, which
-                                then moves uniformly */
+    DAL_STEADY_CONSTANT_RATE = 3 /* moreover V does not act on a coordinate that mu depends on,
+                                    which then moves uniformly */
 } dal_steady;
 
 /* The definition of a system: zero-initialise it, then set members.  The function dal_system_new

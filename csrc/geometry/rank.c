@@ -122,12 +122,12 @@ static void solve_row(dal__rank *rank, dal_mechanics *mech, size_t a)
  * C y = 0, found by C y <- D y, with D the largest pivots.  All pivots would take m solutions. */
 static size_t choose_row(dal__rank *rank, dal_mechanics *mech)
 {
-    enum { TURNS = 3 };
+    enum { PASSES = 3 };
     const size_t m = mech->m;
     double *const y = rank->weight, most = 0.0;
     size_t row = 0;
     for (size_t a = 0; a < m; a++) y[a] = 1.0 + 0.1 * (double)(7 * a % 5); /* of no symmetry */
-    for (int turn = 0; turn < TURNS; turn++) {
+    for (int pass = 0; pass < PASSES; pass++) {
         for (size_t a = 0; a < m; a++) y[a] *= rank->largest[a];
         dal__solve_gram(mech, y);
     }

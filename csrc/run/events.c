@@ -193,12 +193,12 @@ static void move(const dal_events *e, double shift, const double *x, double *y)
 /* The states at times of the run up to theta, in the set that the scheme keeps. */
 static int make_times(dal_events *e, dal_run *run, double theta)
 {
-    const double end = dal__time_at(e, theta), ahead = e->h > 0.0 ? 1.0 : -1.0;
+    const double end = dal__time_at(e, theta), direction = e->h > 0.0 ? 1.0 : -1.0;
     for (; e->times_done < run->time_count; e->times_done++) {
         const double t = run->times[e->times_done];
         const double near = theta == 1.0 ? 4.0 * DAL_ROUNDOFF * fmax(fabs(t), fabs(end)) : 0.0;
-        if (ahead * (t - end) > near) break;
-        const double at = ahead * (end - t) <= near ? theta : fmax((t - e->t) / e->h, e->from);
+        if (direction * (t - end) > near) break;
+        const double at = direction * (end - t) <= near ? theta : fmax((t - e->t) / e->h, e->from);
         const int status = dal__reach(e, at, e->x);
         if (status) return status;
         e->unscaled += e->lost;
@@ -429,7 +429,7 @@ static int prepare(dal_events *e, dal_run *run)
     }
     if (!status) status = dal_stepper_input(e->probe, motion->input);
     if (!status && run->stepper->applied) {
-        status = dal__stepper_turn(run->stepper);
+        status = dal__stepper_enter_D(run->stepper);
         if (status) *e->error = run->stepper->error;
         else status = jump(e, motion);
     }
@@ -545,14 +545,14 @@ int dal__events_check(const dal_run *run)
     if (run->time_count == 0 || run->done > 0) return DAL_SUCCESS;
     if (!run->times || !run->x_at_times)
         return dal__fail(error, DAL_EINVAL, "%s is NULL", run->times ? "x_at_times" : "times");
-    const double begin = dal_stepper_time(run->stepper), ahead = motion->h > 0.0 ? 1.0 : -1.0;
+    const double begin = dal_stepper_time(run->stepper), direction = motion->h > 0.0 ? 1.0 : -1.0;
     const double end = dal__run_varies(run)
         ? run->until : motion->t0 + (double)(motion->steps + run->steps) * motion->h;
     double before = begin;
     for (size_t k = 0; k < run->time_count; k++) {
         const double t = run->times[k];
-        const double last = end + ahead * 4.0 * DAL_ROUNDOFF * fabs(end);
-        if (!(ahead * (t - before) >= 0.0 && ahead * (last - t) >= 0.0))
+        const double last = end + direction * 4.0 * DAL_ROUNDOFF * fabs(end);
+        if (!(direction * (t - before) >= 0.0 && direction * (last - t) >= 0.0))
             return dal__fail(error, DAL_EINVAL, "times[%zu] = %.17g: expected times from %.17g to "
                              "%.17g, in this order", k, t, begin, end);
         before = t;

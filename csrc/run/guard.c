@@ -358,11 +358,11 @@ static double first_ratio(const dal_run *run, size_t span)
 static double next_ratio(double ratio) { return ratio > 2.0 ? 0.5 * ratio : 0.5; }
 
 /* If the run ended in a jump of v to new inputs, apply the same jump before comparing. */
-static bool turn(dal_stepper *stepper)
+static bool apply_jump(dal_stepper *stepper)
 {
     dal__copy(stepper->motion.system->def.inputs, stepper->remake.input,
               stepper->mech.eval.own_input);
-    return dal__stepper_turn(stepper) == DAL_SUCCESS;
+    return dal__stepper_enter_D(stepper) == DAL_SUCCESS;
 }
 
 /* Discard the error of a part of the run, unless steps computed again show that it is LARGE. */
@@ -397,7 +397,7 @@ void dal__guard_check(dal_run *run, size_t budget)
         if (made && g->at < span) break;
         const double *const x = span < steps ? g->mark + (g->marks - 1) * 2 * stepper->mech.n
                                              : stepper->remake.here.x;
-        made = made && (span < steps || turn(stepper)) && conclude(run, x);
+        made = made && (span < steps || apply_jump(stepper)) && conclude(run, x);
         g->over = made || g->ratio < 1.0;
         if (g->over) break;
         g->ratio = next_ratio(g->ratio);

@@ -391,8 +391,8 @@ static int give_inputs(const dal_journal *self, const dal_run *run, size_t first
 /* Up to a time of a run with error-controlled steps, the rows of inputs that were handed over. */
 static void count_inputs(dal_run *run, double t)
 {
-    const double ahead = run->input_duration > 0.0 ? 1.0 : -1.0;
-    while (ahead * (t - dal__run_begin_of_inputs(run, run->rows_set)) > 0.0) run->rows_set++;
+    const double direction = run->input_duration > 0.0 ? 1.0 : -1.0;
+    while (direction * (t - dal__run_begin_of_inputs(run, run->rows_set)) > 0.0) run->rows_set++;
 }
 
 static int give_row(const dal_journal *self, dal_run *run, const dal_record *r, dal_error *error)

@@ -9,7 +9,7 @@ bool dal__run_is_over(const dal_run *run)
         || (dal__run_varies(run) && dal_stepper_time(run->stepper) == run->until);
 }
 
-int dal__heed(const dal_run *run, const char *name, int returned)
+int dal__callback_status(const dal_run *run, const char *name, int returned)
 {
     if (returned > 0) return DAL_STOPPED;
     if (returned == 0) return DAL_SUCCESS;
@@ -28,12 +28,12 @@ double dal__run_begin_of_inputs(const dal_run *run, size_t k)
 static int check_varied(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;
-    const double ahead = dal__stepper_ahead(run->stepper);
+    const double direction = dal__stepper_direction(run->stepper);
     const double t = dal_stepper_time(run->stepper);
-    if (!isfinite(run->until) || ahead * (run->until - t) < 0.0)
+    if (!isfinite(run->until) || direction * (run->until - t) < 0.0)
         return dal__fail(error, DAL_EINVAL, "until = %g: expected a time from t = %g on, in the "
                          "direction of the steps", run->until, t);
-    if (run->inputs && !(ahead * run->input_duration > 0.0 && isfinite(run->input_duration)))
+    if (run->inputs && !(direction * run->input_duration > 0.0 && isfinite(run->input_duration)))
         return dal__fail(error, DAL_EINVAL, "input_duration = %g: expected the time for which a "
                          "row of inputs applies, with the sign of the steps", run->input_duration);
     return DAL_SUCCESS;

@@ -46,8 +46,8 @@ static int store(dal_run *run)
     run->rows_set_before = run->stored > 0 ? run->rows_set : 0;
     run->stored++;
     if (!run->observer) return DAL_SUCCESS;
-    return dal__heed(run, "observer", run->observer(motion->steps, t, motion->x,
-                                                    run->observer_ctx));
+    return dal__callback_status(run, "observer", run->observer(motion->steps, t, motion->x,
+                                                               run->observer_ctx));
 }
 
 /* Whether the inputs change here; *row <- to which. */
@@ -57,8 +57,8 @@ static bool inputs_change(const dal_run *run, size_t *row)
     if (!run->inputs) return false;
     *row = dal__run_varies(run) ? run->rows_set : run->done / input_steps;
     if (!dal__run_varies(run)) return run->done % input_steps == 0;
-    const double ahead = dal__stepper_ahead(run->stepper);
-    return ahead * (dal_stepper_time(run->stepper) - dal__run_begin_of_inputs(run, *row)) >= 0.0;
+    const double since = dal_stepper_time(run->stepper) - dal__run_begin_of_inputs(run, *row);
+    return dal__stepper_direction(run->stepper) * since >= 0.0;
 }
 
 /* Where the inputs change, those of the steps that follow. */
@@ -73,8 +73,9 @@ static int hand_inputs(dal_run *run)
     int status = DAL_SUCCESS;
     if (run->control && run->rows_set <= row) {
         dal__forget(width, u);
-        status = dal__heed(run, "control", run->control(motion->steps, dal_stepper_time(stepper),
-                                                        motion->x, u, run->control_ctx));
+        const int returned = run->control(motion->steps, dal_stepper_time(stepper), motion->x, u,
+                                          run->control_ctx);
+        status = dal__callback_status(run, "control", returned);
     }
     if (status) return status;
     status = dal_stepper_input(stepper, u);
@@ -88,7 +89,7 @@ static int hand_inputs(dal_run *run)
 static int limit_steps(const dal_run *run)
 {
     const double change = run->inputs ? dal__run_begin_of_inputs(run, run->rows_set) : run->until;
-    const bool sooner = dal__stepper_ahead(run->stepper) * (change - run->until) < 0.0;
+    const bool sooner = dal__stepper_direction(run->stepper) * (change - run->until) < 0.0;
     return dal_stepper_until(run->stepper, sooner ? change : run->until);
 }
 
@@ -123,8 +124,8 @@ static int report(const dal_run *run, size_t times_done)
         const happening *const one = &e->happened[k];
         const int returned = run->happened(one->event, step, one->t, one->x,
                                            one->reset ? one->after : NULL, run->happened_ctx);
-        const int heeded = dal__heed(run, "happened", returned);
-        if (!status) status = heeded;
+        const int answer = dal__callback_status(run, "happened", returned);
+        if (!status) status = answer;
     }
     return status;
 }

@@ -392,7 +392,8 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->finish = finish;
     k->look = look;
     k->steady = is_steady(self, system) ? system->def.steady : 0;
-    k->turns = system->def.steady == DAL_STEADY_DECLARED || system->def.steady == DAL_STEADY_EVEN;
+    k->turns = system->def.steady == DAL_STEADY_DECLARED
+            || system->def.steady == DAL_STEADY_CONSTANT_RATE;
     k->balance.known = k->at.base;
     motion->x = k->at.x;
     motion->stats = &k->stats;

@@ -115,7 +115,7 @@ static double size(size_t N, const double *x, const double *change)
 
 /* A first step by the rates of x and of its rates (Hairer, Norsett, Wanner 1993, II.4), all at time
  * t: where the motion is to end is not known yet. */
-static int find_first(dal_stepper *self, double t, double ahead, const double *x, double *h)
+static int find_first(dal_stepper *self, double t, double direction, const double *x, double *h)
 {
     dal__controlled *const data = self->control_data;
     const size_t N = 2 * self->mech.n;
@@ -126,16 +126,16 @@ static int find_first(dal_stepper *self, double t, double ahead, const double *x
     const double tolerance = data->tolerance;
     const double place = size(N, x, x) / tolerance, speed = size(N, x, f) / tolerance;
     const double small = place > 1e-5 && speed > 1e-5 ? 0.01 * place / speed : 1e-6;
-    const double one = ahead * fmin(small, longest(data));
+    const double one = direction * fmin(small, longest(data));
     dal__move(N, x, one, f, there);
-    double turn = 0.0;
+    double curvature = 0.0;
     status = dal_field(&self->mech, t, there, change);
     if (status == DAL_EUSER) return status;
     for (size_t i = 0; i < N; i++) change[i] -= f[i];
-    if (!status) turn = size(N, x, change) / tolerance / fabs(one);
-    const double rate = fmax(speed, turn);
+    if (!status) curvature = size(N, x, change) / tolerance / fabs(one);
+    const double rate = fmax(speed, curvature);
     const double two = rate > 1e-15 ? pow(0.01 / rate, 1.0 / (data->q + 1.0)) : 1e3 * small;
-    *h = ahead * fmin(fmin(100.0 * small, two), longest(data));
+    *h = direction * fmin(fmin(100.0 * small, two), longest(data));
     return DAL_SUCCESS;
 }
 

@@ -71,7 +71,7 @@ int dal__stepper_started(dal_stepper *stepper)
     return dal__fail(&stepper->error, DAL_EINVAL, "the stepper was not started; call start first");
 }
 
-int dal__stepper_turn(dal_stepper *stepper)
+int dal__stepper_enter_D(dal_stepper *stepper)
 {
     dal_motion *const motion = &stepper->motion;
     dal_mechanics *const mech = &stepper->mech;

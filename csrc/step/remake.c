@@ -69,7 +69,7 @@ void dal__remake_start(dal_stepper *self, double t, double from, const double *x
 bool dal__remake_steps(dal_stepper *self, size_t steps)
 {
     dal_motion *const motion = &self->motion;
-    int status = dal__stepper_turn(self);
+    int status = dal__stepper_enter_D(self);
     for (size_t left = steps, done = 0; !status && left > 0; left -= done) {
         done = 1;
         status = dal__scheme_steps(self, left, &done);

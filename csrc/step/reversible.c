@@ -200,7 +200,7 @@ static int measure(dal_stepper *self, double t, dal__reversible *after, double *
                            + after->fastest * (LEAST * LEAST
                                                + BY_SPEED * BY_SPEED * side[k].v2 / after->speed));
         *sigma = 0.5 * (rate[0] + rate[1]);
-        *change = *sigma > 0.0 ? dal__stepper_ahead(self) * after->eps * (rate[0] - rate[1])
+        *change = *sigma > 0.0 ? dal__stepper_direction(self) * after->eps * (rate[0] - rate[1])
                                      / (*sigma * time) : 0.0;
         mean = after->rho + 0.5 * *change;
         if (!(mean >= LOW * after->rho)) mean = after->rho;
@@ -263,7 +263,7 @@ static int one_step(dal_stepper *self)
     size_t resets = 0;
     dal__snapshot_take(self, &self->variable.before);
     for (int k = 1;; k++) {
-        const double whole = dal__stepper_ahead(self) * now.eps / now.rho;
+        const double whole = dal__stepper_direction(self) * now.eps / now.rho;
         /* what would be left of 1e-9 h is not worth a step */
         const bool last = fabs(whole) >= (1.0 - 1e-9) * fabs(left);
         const double h = last ? dal__variable_last(self, t) : (t + whole) - t;

@@ -151,18 +151,18 @@ static int check_steady(dal_mechanics *mech)
     const dal_rows *const rows = mech->eval.rows;
     dal__form_Z(mech, mech->forms.mu);
     for (size_t i = 0; i < n; i++) {
-        double pushed = 0.0, turns = 0.0;
+        double pushed = 0.0, changed = 0.0;
         const size_t begin = rows ? rows->above[i] : 0, end = rows ? rows->above[i + 1] : m;
         for (size_t k = begin; k < end; k++) {
             const size_t e = rows ? rows->entry[k] : k * n + i;
             pushed = fmax(pushed, fabs(mech->gram.Z[e]));
-            turns = fmax(turns, fabs(mech->forms.dmu[e]));
+            changed = fmax(changed, fabs(mech->forms.dmu[e]));
         }
-        if (pushed != 0.0 && turns != 0.0)
+        if (pushed != 0.0 && changed != 0.0)
             return dal__fail(&mech->error, DAL_EINVAL, "the system is declared steady, but mu "
                              "depends on coordinate %zu, which a reaction pushes (M^-1 mu^T has %g "
                              "there, d(mu v)/dq has %g); do not declare it steady", i, pushed,
-                             turns);
+                             changed);
     }
     return DAL_SUCCESS;
 }
@@ -319,7 +319,7 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
         dal_stepper *const self = stepper;
     dal_motion *const motion = &self->motion;
     *made = 0;
-    const int turned = steps > 0 ? dal__stepper_turn(self) : DAL_SUCCESS;
+    const int turned = steps > 0 ? dal__stepper_enter_D(self) : DAL_SUCCESS;
     if (turned) return turned;
     while (*made < steps) {
         const size_t left = steps - *made, next = BETWEEN_LOOKS - motion->steps % BETWEEN_LOOKS;

@@ -39,7 +39,7 @@ struct dal_stepper {
 int dal__stepper_started(dal_stepper *stepper);
 int dal__stepper_check_times(dal_stepper *stepper, double t0, double h);
 /* 1, or -1 if its steps, of a stepper that is started, lead back. */
-static inline double dal__stepper_ahead(const dal_stepper *stepper)
+static inline double dal__stepper_direction(const dal_stepper *stepper)
 {
     return stepper->motion.h > 0.0 ? 1.0 : -1.0;
 }
@@ -49,7 +49,7 @@ void dal__stepper_forget_impulse(dal_stepper *stepper);
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made);
 /* Before a step: where inputs have changed D the velocity jumps into it; the impulse of the jump is
  * added to those of the steps.  The errors of dal_project. */
-int dal__stepper_turn(dal_stepper *stepper);
+int dal__stepper_enter_D(dal_stepper *stepper);
 int dal__stepper_reaction(dal_stepper *stepper, double elapsed, double *reaction);
 /* The state after the last step becomes x[2n], from where the motion is another one: the predictor
  * is forgotten, and the energy is that from now on; kept: that which is kept, if one is.  The

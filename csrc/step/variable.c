@@ -41,8 +41,8 @@ int dal__variable_advance(dal_stepper *self, int (*step)(dal_stepper *stepper), 
 double dal__variable_last(const dal_stepper *self, double t)
 {
     const double until = self->until, left = until - t;
-    for (int ahead = -1; ahead <= 1; ahead += 2) { /* t + left may be rounded to its neighbour */
-        const double next = nextafter(left, ahead * (double)INFINITY);
+    for (int side = -1; side <= 1; side += 2) {    /* t + left may be rounded to its neighbour */
+        const double next = nextafter(left, side * (double)INFINITY);
         if (t + left != until && t + next == until) return next;
     }
     return left;
@@ -57,7 +57,7 @@ int dal_stepper_until(dal_stepper *stepper, double t)
                          "stepper has a fixed h");
     const int status = dal__stepper_started(stepper);
     if (status) return status;
-    if (!(dal__stepper_ahead(stepper) * (t - dal_stepper_time(stepper)) >= 0.0))
+    if (!(dal__stepper_direction(stepper) * (t - dal_stepper_time(stepper)) >= 0.0))
         return dal__fail(error, DAL_EINVAL, "t = %g: expected a time from %g on, in the direction "
                          "of the steps", t, dal_stepper_time(stepper));
     stepper->until = t;

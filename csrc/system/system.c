@@ -52,7 +52,8 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
 static int check_steady(const dal_system_def *def, dal_error *error)
 {
     const char *const why = !def->steady ? NULL
-                            : def->steady < DAL_STEADY_DECLARED || def->steady > DAL_STEADY_EVEN
+                            : def->steady < DAL_STEADY_DECLARED
+                                  || def->steady > DAL_STEADY_CONSTANT_RATE
                                 ? "expected a dal_steady"
                             : !dal__has_mass(def) ? "expected 0, because mass is NULL"
                             : def->kind != DAL_LINEAR ? "expected 0, because the constraints are "

@@ -100,7 +100,7 @@ const builtin dal__knife_edge = {
     .diagonal = {1, 1, 2},
     .state = knife_edge_state,
     .potential = knife_edge_potential,
-    .constraint = knife_edge_constraint, .steady = DAL_STEADY_EVEN,
+    .constraint = knife_edge_constraint, .steady = DAL_STEADY_CONSTANT_RATE,
     .exact = knife_edge_exact,
     .invariants = {"v_theta", "v_theta u - gs sin(theta)"},
     .invariant = knife_edge_invariant,

@@ -65,7 +65,7 @@ const builtin dal__particle = {
                 "v_z - y v_x = 0",
     .m = 1, .coordinates = {"x", "y", "z"},
     .start = {0.5, 0.3, -0.2, 1.0, 0.7, 0.3},
-    .constraint = particle_constraint, .steady = DAL_STEADY_EVEN,
+    .constraint = particle_constraint, .steady = DAL_STEADY_CONSTANT_RATE,
     .exact = particle_exact,
     .invariants = {"v_y", "v_x sqrt(1 + y^2)"}, .invariant = particle_invariant,
 };

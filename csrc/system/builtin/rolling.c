@@ -73,7 +73,7 @@ const builtin dal__disk = {
     .parameters = {{"m", 1.2}, {"I", 0.5}, {"J", 0.3}, {"R", 0.7}},
     .diagonal = {1, 1, 2, 3},
     .state = disk_state,
-    .constraint = disk_constraint, .steady = DAL_STEADY_EVEN,
+    .constraint = disk_constraint, .steady = DAL_STEADY_CONSTANT_RATE,
     .exact = disk_exact,
     .invariants = {"v_theta", "v_phi"}, .invariant = disk_invariant,
 };
@@ -126,7 +126,7 @@ const builtin dal__robot = {
     .diagonal = {1, 1, 2, 3},
     .state = robot_state,
     .potential = robot_potential,
-    .constraint = robot_constraint, .steady = DAL_STEADY_EVEN,
+    .constraint = robot_constraint, .steady = DAL_STEADY_CONSTANT_RATE,
     .invariants = {"v_phi", "(J + m R^2) v_theta^2/2 + k sin(theta)"},
     .invariant = robot_invariant,
 };

@@ -565,16 +565,16 @@ static void test_first_step(void)
     const dal_scheme record = find_scheme("midpoint-suzuki4");
     dal_system *const system = new_system(&def);
     for (int k = 0; k < 4; k++) {
-        const double ahead = k % 2 ? -1.0 : 1.0, longest = k < 2 ? 0.0 : 1e-3;
+        const double direction = k % 2 ? -1.0 : 1.0, longest = k < 2 ? 0.0 : 1e-3;
         dal_stepper *const stepper =
             open_stepper(system, &record, &(dal_options){.tolerance = 1e-6, .h_max = longest});
         double h = 0.0;
-        begin(stepper, system, 0.0, ahead * (double)INFINITY);
+        begin(stepper, system, 0.0, direction * (double)INFINITY);
         const dal__controlled *const of = of_steps(stepper);
-        const double either = ahead * (double)INFINITY;
+        const double either = direction * (double)INFINITY;
         CHECK(dal__controlled_steps.start(stepper, 0.0, either, x, &h) == DAL_SUCCESS);
         const double exact = pow(0.01 * of->tolerance, 1.0 / (of->q + 1.0));
-        CHECK_NEAR(h, ahead * (longest > 0.0 ? longest : exact), 8.0 * U);
+        CHECK_NEAR(h, direction * (longest > 0.0 ? longest : exact), 8.0 * U);
         release(stepper);
     }
 }

@@ -588,7 +588,7 @@ static void test_bad_definitions(void)
     def.kind = DAL_AFFINE;
     refused_at_once(&def, "steady = 2: expected 0, because the constraints are not linear");
     def = good;
-    def.steady = DAL_STEADY_EVEN + 1;
+    def.steady = DAL_STEADY_CONSTANT_RATE + 1;
     refused_at_once(&def, "steady = 4: expected a dal_steady");
     def.steady = -1;
     refused_at_once(&def, "steady = -1: expected a dal_steady");
