@@ -77,11 +77,12 @@ DAL_LU_INLINE int call_for_terms(dal_mechanics *mech, size_t n, size_t m, double
     evaluator *const e = &mech->eval;
     const dal__forms *const at = &mech->forms;
     double *const phi_t = e->system->def.time_dependent ? at->phi_t : NULL;
-    if (e->pull) {
+    if (e->potential_force) {
         dal__forget(n, mech->force);
-        e->potential_calls += e->pull_ctx != e;
-        const int returned = e->pull(t, x, NULL, mech->force, NULL, e->pull_ctx);
-        *name = e->pull_ctx == e ? e->refused : "potential";
+        e->potential_calls += e->potential_force_ctx != e;
+        const int returned =
+            e->potential_force(t, x, NULL, mech->force, NULL, e->potential_force_ctx);
+        *name = e->potential_force_ctx == e ? e->refused : "potential";
         if (returned) return returned;
         for (size_t i = 0; i < n; i++) mech->force[i] = -mech->force[i];
     }
@@ -116,7 +117,7 @@ DAL_LU_INLINE bool field_of(dal_mechanics *mech, size_t n, size_t m, size_t next
     const char *name = NULL;
     const int returned = call_for_terms(mech, n, m, t, x, &name);
     if (returned) *status = dal__refuse(&mech->error, name, returned);
-    if (!mech->eval.pull) has.F = 0;
+    if (!mech->eval.potential_force) has.F = 0;
     return !returned && dal_field_solve(n, m, has, &terms, x + n, xdot);
 }
 

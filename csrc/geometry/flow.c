@@ -278,7 +278,7 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
 
 /* The terms of which the acceleration is the sum, of the coordinate where they are largest: a
  * reaction may take all that a force gives.  They are as dal_multipliers left them. */
-static double largest_pull(dal_mechanics *mech)
+static double largest_force(dal_mechanics *mech)
 {
     dal__accelerate(mech, mech->force, mech->w);
     for (size_t i = 0; i < mech->n; i++) mech->w[i] = fabs(mech->w[i]);
@@ -305,7 +305,7 @@ static int roundoff(dal_flow *flow, double t0, double t1, double *error)
     for (size_t a = 0; !C->pattern && a < m; a++)
         inverse += C->sizes[a] * dal__dot(a + 1, C->A + a * m, C->A + a * m);
     const double drift =
-        (dal__largest(n, flow->result + n) + 0.5 * span * largest_pull(mech)) * span;
+        (dal__largest(n, flow->result + n) + 0.5 * span * largest_force(mech)) * span;
     *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result)
            + DAL_ROUNDOFF * sqrt(inverse) * drift;
     if (!dal__is_autonomous(mech->eval.system))

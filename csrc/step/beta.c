@@ -359,8 +359,8 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->m = system->def.m;
     k->constraint = e->constraint;
     k->constraint_ctx = is_inside(system, scheme) ? system->def.ctx : e->constraint_ctx;
-    k->potential = e->pull;
-    k->potential_ctx = e->pull_ctx;
+    k->potential = e->potential_force;
+    k->potential_ctx = e->potential_force_ctx;
     k->balance_of = dal__balance;
     k->balance_ctx = e;
     k->input = e->own_input;

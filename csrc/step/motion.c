@@ -31,8 +31,8 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->worst_residual *= 1.0 + 2.0 * DBL_EPSILON; /* the step compares without dividing */
     /* the evaluator counts what goes through it; the step routine's calls do if it differences */
     if (e->constraint_ctx == e) stats->constraint_calls = 0;
-    if (e->pull_ctx == e && !(stepper->motion.system->def.compiled
-                              && stepper->scheme.nodes == DAL_MOVED_NODES))
+    if (e->potential_force_ctx == e && !(stepper->motion.system->def.compiled
+                                         && stepper->scheme.nodes == DAL_MOVED_NODES))
         stats->potential_calls = 0;
     stats->constraint_calls += e->constraint_calls;
     stats->potential_calls += e->potential_calls;

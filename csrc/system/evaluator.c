@@ -262,7 +262,8 @@ static int ask(evaluator *e, callback which, double t, const double *q, const do
 }
 
 /* V_q - f: of a dal_potential_fn what steps ask for. */
-static int pull(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int potential_force(double t, const double *q, double *V, double *V_q, double *V_qq,
+                           void *ctx)
 {
     evaluator *const e = ctx;
     const size_t n = e->system->def.n;
@@ -320,8 +321,8 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
         }
     e->sizes[CONSTRAINT][0] = e->sizes[CONSTRAINT][1] = dal__entries(e);
     dal__forget(def->n, e->nowhere);
-    e->pull = def->potential;
-    e->pull_ctx = def->ctx;
+    e->potential_force = def->potential;
+    e->potential_force_ctx = def->ctx;
     e->constraint = def->constraint;
     e->constraint_ctx = def->ctx;
     e->constant_mass = !def->lagrangian;
@@ -329,8 +330,8 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
         && dal__check_compiled(system, NULL) == DAL_SUCCESS)
         e->field = def->compiled->field;
     if ((def->potential && (def->missing & of_potential)) || def->positional) {
-        e->pull = pull;
-        e->pull_ctx = e;
+        e->potential_force = potential_force;
+        e->potential_force_ctx = e;
     }
     if (def->driven
         || (def->constraint && ((def->missing & (DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))

@@ -45,9 +45,9 @@ struct dal_system {
 };
 
 /* The callbacks of a system as the rest of the library calls them: derivatives that the user does
- * not give are differenced, calls are counted.  One evaluator for each thread.  pull and constraint
- * may be called directly with their ctx: the hot path does, and counts by itself where that is not
- * the evaluator. */
+ * not give are differenced, calls are counted.  One evaluator for each thread.  potential_force and
+ * constraint may be called directly with their ctx: the hot path does, and counts by itself where
+ * that is not the evaluator. */
 enum { DAL__CALLBACKS = 4, DAL__OUTPUTS = 7 };
 typedef enum dal__moves { MOVES_Q, MOVES_V, MOVES_T } dal__moves;
 
@@ -55,8 +55,8 @@ typedef struct evaluator {
     const dal_system *system;
     size_t lengths[3];          /* 1, n, m */
     size_t sizes[DAL__CALLBACKS][DAL__OUTPUTS]; /* entries of an output */
-    dal_potential_fn pull;      /* of V, less a force that is positional; NULL: there is neither */
-    void *pull_ctx;
+    dal_potential_fn potential_force; /* V_q less a positional force; NULL: there is neither */
+    void *potential_force_ctx;
     dal_constraint_fn constraint;
     void *constraint_ctx;
     dal_field_fn field;         /* compiled for the system, or NULL */
@@ -64,7 +64,7 @@ typedef struct evaluator {
     bool dense;                 /* phi_v and phi_q with all entries, of any system: set before */
     bool lean;                  /* of a lean system, unless dense; */
     const dal_rows *rows;       /* phi_v and phi_q have the entries of these, then and if any */
-    const char *refused;        /* the callback that made pull or dal__balance not return 0 */
+    const char *refused;        /* the callback for which potential_force or dal__balance failed */
     const double *input;        /* [inputs] of the force and the constraint: */
     double *own_input;          /* these, which are 0 at first, or those of a row */
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
