@@ -21,7 +21,7 @@ static void balance_dependent(dal_chart *chart)
 }
 
 /* G <- [H^T K; d phi/dw] with the n-m rows H^T = [-A(q_k)^T, I], and its sizes. */
-static void form_G(dal_chart *chart)
+static void build_G(dal_chart *chart)
 {
     const dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n, m = chart->m, free = n - m;
@@ -39,7 +39,7 @@ static void form_G(dal_chart *chart)
     dal__copy(m * n, chart->slope, chart->G.A + free * n);
     for (size_t j = 0; j < free; j++) sizes[j] = mech->metric.per_unit[place[j]];
     for (size_t a = 0; a < m; a++)
-        sizes[free + a] = dal_residual_form(n, mech->metric.unit, chart->slope + a * n);
+        sizes[free + a] = dal_residual_row_norm(n, mech->metric.unit, chart->slope + a * n);
     dal__copy(n, mech->metric.per_unit, sizes + n);
 }
 
@@ -55,7 +55,7 @@ static int find_step(dal__newton *equations)
     if (!status) status = dal__chart_factor(chart, mech->muk);
     if (status) return status;
     balance_dependent(chart);
-    form_G(chart);
+    build_G(chart);
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[chart->place[m + j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
     if (!dal__linear_factor(&chart->G)) {

@@ -152,7 +152,7 @@ int dal__rho_invert(dal_discrete *d, double t, double h, const double *x, double
         dal__newton equations = {.find_step = find_step, .ctx = d, .size = 2 * n, .n = n,
                                  .measured = 2 * n, .per_unit = d->mech.metric.per_unit, .z = z,
                                  .step = d->root.step};
-        status = dal__form_metric(&d->mech, t, x, v);
+        status = dal__build_metric(&d->mech, t, x, v);
         d->root.J.size = 2 * n;
         if (!status) status = dal__newton_run(&equations, &d->mech.error);
     }

@@ -161,8 +161,8 @@ static void clear(size_t count, dal__terms C)
 }
 
 /* p[n] <- factor (h g_r^T F + f_r^T L_v), f_r as it is stored. */
-static void form_momentum(const dal_discrete *d, double factor, double h, const double *g_r,
-                          const double *f_r, double *p)
+static void build_momentum(const dal_discrete *d, double factor, double h, const double *g_r,
+                           const double *f_r, double *p)
 {
     const size_t n = d->n;
     for (size_t i = 0; i < n; i++) {
@@ -180,7 +180,7 @@ static int value_held(const double *q1, double *value, void *ctx)
     const dal__pair pair = {d->held.h, d->held.q0, q1, NULL};
     const int status = dal__rho_at(&d->moved, &pair, true);
     if (status) return status;
-    form_momentum(d, 1.0, pair.h, d->moved.g_0, d->moved.f_0, value);
+    build_momentum(d, 1.0, pair.h, d->moved.g_0, d->moved.f_0, value);
     return DAL_SUCCESS;
 }
 
@@ -197,7 +197,7 @@ int dal__discrete_bend(dal_discrete *d, dal__function f, double factor, const do
 }
 
 /* d->K: by F and L_v at rho, whose derivatives are known, then by the second derivatives of rho. */
-static int form_K(dal_discrete *d, bool forced, const dal__pair *pair)
+static int build_K(dal_discrete *d, bool forced, const dal__pair *pair)
 {
     const size_t n = d->n;
     const double h = pair->h;
@@ -241,9 +241,9 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
                             &d->mech.error);
     if (status) return status;
     if (push) dal__add(n, 1.0, d->value, d->force);
-    if (minus) form_momentum(d, -1.0, h, rho->g_0, rho->f_0, minus);
-    if (plus) form_momentum(d, 1.0, h, rho->g_1, rho->f_1, plus);
-    return derivative ? form_K(d, push, pair) : DAL_SUCCESS;
+    if (minus) build_momentum(d, -1.0, h, rho->g_0, rho->f_0, minus);
+    if (plus) build_momentum(d, 1.0, h, rho->g_1, rho->f_1, plus);
+    return derivative ? build_K(d, push, pair) : DAL_SUCCESS;
 }
 
 int dal_discrete_lagrangian(dal_discrete *d, double t, double h, const double *q0,

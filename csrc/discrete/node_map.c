@@ -142,7 +142,7 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
                              .measured = n, .n = n, .per_unit = d->mech.metric.per_unit,
                              .z = d->root.z, .step = d->root.step};
     int status = begin(d, t, pair);
-    if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->velocity);
+    if (!status) status = dal__build_metric(&d->mech, t, d->constraint.g, d->velocity);
     if (status) return status;
     dal__copy(n, pair->w, d->root.z);
     dal__clear(m, d->root.z + n);
@@ -249,7 +249,7 @@ int dal_discrete_step(dal_discrete *d, double t, double h, double *q0, double *q
 static int require_on_constraint(dal_discrete *d, double t, const dal__pair *pair)
 {
     int status = dal__discrete_constraint(d, t, pair, false);
-    if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->constraint.f);
+    if (!status) status = dal__build_metric(&d->mech, t, d->constraint.g, d->constraint.f);
     dal__copy(d->n, d->constraint.g, d->mech.forms.q);
     if (!status) status = dal__measure_moves(&d->mech, t, 0.0, d->constraint.f);
     const double *const moves = d->mech.forms.moves;

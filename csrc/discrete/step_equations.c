@@ -117,7 +117,7 @@ static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
     return DAL_SUCCESS;
 }
 
-static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
+static void build_R1(const dal_mechanics *mech, const double *kappa, double *R1)
 {
     const size_t n = mech->n;
     const double weight = mech->start.h * (1.0 - mech->start.alpha);
@@ -168,7 +168,7 @@ static void add_mass(const dal_mechanics *mech, double *K, double *sizes)
 
 /* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend; never asked
  * for if mech is lean. */
-static void form_K(const dal_mechanics *mech, double *K, double *K_sizes)
+static void build_K(const dal_mechanics *mech, double *K, double *K_sizes)
 {
     const size_t n = mech->n;
     const double a = mech->start.alpha * mech->start.h;
@@ -231,10 +231,10 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     if (!status && (R1 || K)) status = evaluate(mech, w, R1 != NULL, K != NULL);
     if (status) return status;
     /* nothing is written before all of it is known */
-    if (R1) form_R1(mech, kappa, R1);
+    if (R1) build_R1(mech, kappa, R1);
     if (R1 && (K || mech->eval.lean)) mech->start.base = base_of_R1(mech, kappa);
     if (R2) dal__copy(mech->m, mech->forms.phi, R2);
-    if (K) form_K(mech, K, K_sizes);
+    if (K) build_K(mech, K, K_sizes);
     if (B) dal__move(entries, mech->forms.mu, a, mech->forms.dmu, B);
     return DAL_SUCCESS;
 }

@@ -157,14 +157,14 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
     write_names(chart, chart->place, m, sizeof names, names);
     dal__fail(&chart->mech.error, DAL_ESINGULAR, "the coordinates %s cannot be the dependent ones "
               "here, because their columns of mu form a singular matrix", names);
-    dal__form_Z(&chart->mech, mu);
+    dal__build_Z(&chart->mech, mu);
     dal__name_dependent(&chart->mech, mu, chart->mech.gram.Z, dal__rank_lost(&chart->mech),
                         &chart->mech.error);
     return DAL_ESINGULAR;
 }
 
 /* phi, mu, the metric, and phi_q if wanted at x[2n], and B factored. */
-static int form_B(dal_chart *chart, double t, const double *x, bool slopes)
+static int build_B(dal_chart *chart, double t, const double *x, bool slopes)
 {
     const int status = dal__forms_at(&chart->mech, t, 0.0, x, slopes);
     return status ? status : dal__chart_factor(chart, chart->mech.forms.mu);
@@ -180,7 +180,7 @@ static void solve_column(dal_chart *chart, const double *forms, size_t column, d
 }
 
 /* A of mu, whose B is factored. */
-static void form_A(dal_chart *chart)
+static void build_A(dal_chart *chart)
 {
     const size_t free = chart->n - chart->m;
     for (size_t j = 0; j < free; j++)
@@ -190,10 +190,10 @@ static void form_A(dal_chart *chart)
 int dal_chart_connection(dal_chart *chart, double t, const double *x, double *A, double *B)
 {
     int status = require_state(chart, "x", x, t, x);
-    if (!status) status = form_B(chart, t, x, false);
+    if (!status) status = build_B(chart, t, x, false);
     if (status) return status;
     const size_t n = chart->n, m = chart->m;
-    form_A(chart);
+    build_A(chart);
     gather_B(chart, chart->mech.forms.mu);
     return DAL__DELIVER(&chart->mech.error, {"A", m * (n - m), chart->A, A},
                         {"B", m * m, chart->B.A, B});
@@ -260,7 +260,7 @@ static int pivot_columns(dal_chart *chart)
             dal_mechanics *const mech = &chart->mech;
             dal__fail(&mech->error, DAL_ESINGULAR, "no choice of dependent coordinates is "
                       "possible: mu has rank %zu instead of %zu", rank, m);
-            dal__form_Z(mech, mech->forms.mu);
+            dal__build_Z(mech, mech->forms.mu);
             dal__name_dependent(mech, mech->forms.mu, mech->gram.Z, dal__rank_lost(mech),
                                 &mech->error);
             return DAL_ESINGULAR;
@@ -333,7 +333,7 @@ int dal__chart_condition(dal_chart *chart, double t, const double *x, double *co
         chart->mech.error = before;
         return DAL_SUCCESS;
     }
-    form_A(chart);
+    build_A(chart);
     for (size_t a = 0; a < m; a++)
         for (size_t j = 0; j < free; j++) {
             const size_t d = chart->place[a], i = chart->place[m + j];
@@ -460,7 +460,7 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
         status = dal__newton_run(&equations, &chart->mech.error);
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
-        status = form_B(chart, t, x, false);
+        status = build_B(chart, t, x, false);
         if (!status) move_dependent(chart, v);
     }
     if (status || dal__all_finite(2 * n, x)) return status;
@@ -508,7 +508,7 @@ int dal_chart_split(dal_chart *chart, double t, const double *x, double *hor, do
 int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J, double *left)
 {
     int status = require_xi(chart, "xi", xi, t, xi);
-    if (!status) status = form_B(chart, t, chart->x, true);
+    if (!status) status = build_B(chart, t, chart->x, true);
     if (status) return status;
     const size_t n = chart->n, m = chart->m, width = chart->width;
     const size_t *const place = chart->place;
@@ -563,7 +563,7 @@ static int transform(dal_chart *chart, double t, const double *x, bool back, con
     if (status) return status;
     const size_t m = chart->m;
     if (m > 0) status = dal__require_finite(&chart->mech, names[back], m, given);
-    if (!status) status = form_B(chart, t, x, false);
+    if (!status) status = build_B(chart, t, x, false);
     if (status) return status;
     if (back) {
         dal__copy(m, given, chart->right);

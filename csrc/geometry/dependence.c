@@ -20,7 +20,7 @@ static size_t row_of(const rows *self, size_t k)
 }
 
 /* Whether the lengths are of use: a row is 0, or its length does not underflow. */
-static bool form_G(const dal_mechanics *mech, const double *mu, const double *Z, const rows *self)
+static bool build_G(const dal_mechanics *mech, const double *mu, const double *Z, const rows *self)
 {
     const dal_rows *const stored = mech->eval.rows;
     const size_t n = mech->n, count = self->count;
@@ -117,7 +117,7 @@ static void add_relation(dal_mechanics *mech, const double *Z, const rows *self,
 static bool add_relations(dal_mechanics *mech, const double *mu, const double *Z, double least,
                           const rows *self, dal_error *error)
 {
-    if (!form_G(mech, mu, Z, self)) return false;
+    if (!build_G(mech, mu, Z, self)) return false;
     const size_t rank = dal__independent_rows(self->count, self->G, least, self->order);
     if (rank == self->count || self->order[0] == self->count) return false;
     for (size_t row = 0, said = 0; row < self->count; row++)
@@ -167,7 +167,7 @@ bool dal__name_dependent(dal_mechanics *mech, const double *mu, const double *Z,
 
 bool dal__name_rank_lost(dal_mechanics *mech, const double *mu)
 {
-    dal__form_Z(mech, mu);
+    dal__build_Z(mech, mu);
     return dal__name_dependent(mech, mu, mech->gram.Z, DAL_RANK_ALMOST_LOST, &mech->error);
 }
 
@@ -177,7 +177,7 @@ void dal__name_turned(dal_mechanics *mech)
     const size_t n = mech->n;
     const double *const mu = mech->forms.mu, *const Z = mech->gram.Z;
     size_t named = 0;
-    dal__form_Z(mech, mech->muk);
+    dal__build_Z(mech, mech->muk);
     for (size_t a = 0; a < mech->m; a++) {
         const double along = stored ? dal_rows_product(stored, mu, a, Z, a)
                                     : dal__dot(n, mu + a * n, Z + a * n);

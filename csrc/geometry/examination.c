@@ -582,8 +582,8 @@ static void name_dependent(examination *ex, dal_error *finding)
 {
     dal_mechanics *const mech = &ex->mech;
     const double *Z = mech->forms.mu;
-    if (ex->lift == 0.0 && !dal__form_metric(mech, ex->t, ex->q, ex->v)) {
-        dal__form_Z(mech, mech->forms.mu);
+    if (ex->lift == 0.0 && !dal__build_metric(mech, ex->t, ex->q, ex->v)) {
+        dal__build_Z(mech, mech->forms.mu);
         Z = mech->gram.Z;
     }
     dal__name_dependent(mech, mech->forms.mu, Z, dal__rank_lost(mech), finding);

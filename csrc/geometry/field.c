@@ -4,7 +4,7 @@
 #include <math.h>
 
 /* force <- L_q - L_vq v - L_vt + f; the metric is that at x afterwards. */
-static int form_force(dal_mechanics *mech, double t, const double *x)
+static int build_force(dal_mechanics *mech, double t, const double *x)
 {
     const size_t n = mech->n;
     const double *const v = x + n;
@@ -36,7 +36,7 @@ int dal__solve_multipliers(dal_mechanics *mech, const char *name, const double *
     const dal__forms *const at = &mech->forms;
     const double *const v = x + n;
     dal__copy(n, x, at->q);
-    status = form_force(mech, t, x);
+    status = build_force(mech, t, x);
     if (!status)
         status = dal__constraint(&mech->eval, t, x, v, NULL, at->mu, at->dmu, at->phi_t,
                                  &mech->error);
@@ -51,7 +51,7 @@ int dal__solve_multipliers(dal_mechanics *mech, const char *name, const double *
 }
 
 /* point <- (v, M^-1 (force + mu^T lambda)). */
-static void form_field(dal_mechanics *mech, const double *x)
+static void build_field(dal_mechanics *mech, const double *x)
 {
     const size_t n = mech->n;
     dal__copy(n, mech->force, mech->step);
@@ -144,7 +144,7 @@ static int field_in_full(dal_mechanics *mech, double t, const double *x, double 
     if (!status) status = dal__solve_multipliers(mech, "xdot", xdot, t, x);
     if (status) return status;
     const size_t n = mech->n;
-    form_field(mech, x);
+    build_field(mech, x);
     return DAL__DELIVER(&mech->error, {"v", n, mech->point, xdot},
                         {"vdot", n, mech->point + n, xdot + n});
 }
@@ -192,7 +192,7 @@ int dal_perturbed(dal_mechanics *mech, double t, double weight, const double *x,
                                 + dal__row_dot(mech, at->mu, a, ghat + n));
     dal__solve_gram(mech, at->phi);
     dal__add(m, 1.0, at->phi, mech->lambda);
-    form_field(mech, x);
+    build_field(mech, x);
     dal__add(2 * n, weight, ghat, mech->point);
     return DAL__DELIVER(&mech->error, {"lambda", m, mech->lambda, lambda},
                         {"xdot", 2 * n, mech->point, xdot});

@@ -28,7 +28,7 @@ typedef struct dal__forms {
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
 } dal__forms;
 
-/* Row a of Z[m*n] is M^-1 mu^a, as dal__form_Z left it, or another direction in which v may move.
+/* Row a of Z[m*n] is M^-1 mu^a, as dal__build_Z left it, or another direction in which v may move.
  * C is mu Z^T and then its factors: those of Cholesky, with (C^-1)_aa in sizes, from
  * dal__factor_gram until the next dal__mend or projection, which leave those of LU; but always of
  * LU, if C has a pattern. */
@@ -123,7 +123,7 @@ static inline double dal__mass_at(const dal_mechanics *mech, size_t i)
     return mech->metric.M[i * (mech->metric.masses ? 1 : mech->n + 1)];
 }
 
-/* y[n] <- M x, M that of the last dal__form_metric. */
+/* y[n] <- M x, M that of the last dal__build_metric. */
 void dal__weigh(const dal_mechanics *mech, const double *x, double *y);
 
 /* These functions leave the text of their failure in mech->error. */
@@ -136,15 +136,15 @@ int dal__require_state(dal_mechanics *mech, const char *name, const double *outp
 /* DAL_EINVAL unless the argument of this name is there and finite. */
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
 /* M at (t, q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
-int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v);
+int dal__build_metric(dal_mechanics *mech, double t, const double *q, const double *v);
 /* The same of metric.M, which is that at (t, q, v) already. */
 int dal__factor_metric(dal_mechanics *mech, double t, const double *q, const double *v);
-/* dal__form_metric, if it is not the last that was formed; the statistics do not count it. */
+/* dal__build_metric, if it is not the last that was formed; the statistics do not count it. */
 int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v);
-/* y[n] <- M^-1 f[n], M that of the last dal__form_metric; y and f may not overlap. */
+/* y[n] <- M^-1 f[n], M that of the last dal__build_metric; y and f may not overlap. */
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
 /* gram.Z <- the rows M^-1 mu^a. */
-void dal__form_Z(dal_mechanics *mech, const double *mu);
+void dal__build_Z(dal_mechanics *mech, const double *mu);
 /* Adds ": constraints[2] equals constraints[0] here" to the text, and the rows to the record, if a
  * row of mu depends on others: the square of its part across them, relative to that of the row,
  * both in the metric of Z = mu M^-1, is at most least.  Returns whether there was one; error may be
@@ -177,7 +177,7 @@ void dal__solve_gram(const dal_mechanics *mech, double *y);
 int dal__measure_moves(dal_mechanics *mech, double t, double shift, const double *v);
 /* How far velocities move then, to first order; see dal__progress. */
 double dal__velocity_moves(dal_mechanics *mech, double t, double shift, const double *v);
-/* The residual of residual.h, the largest of all a, in the units of the last dal__form_metric;
+/* The residual of residual.h, the largest of all a, in the units of the last dal__build_metric;
  * without moves[m] if these are NULL. */
 double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
                               const double *v, const double *moves);
@@ -298,7 +298,7 @@ void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);
 /* chart->x <- psi(t, xi), Newton from the state of the choice; DAL_EINVAL unless there is a choice
  * and t and xi[2n-m] are finite. */
 int dal__chart_state(dal_chart *chart, double t, const double *xi);
-/* B of mu[m*n], factored, in the units of the last dal__form_metric. */
+/* B of mu[m*n], factored, in the units of the last dal__build_metric. */
 int dal__chart_factor(dal_chart *chart, const double *mu);
 /* result[m] <- B^T given[m], B that of mu[m*n]. */
 void dal__chart_reduce(const dal_chart *chart, const double *mu, const double *given,

@@ -4,7 +4,7 @@
 #include <math.h>
 
 /* C <- mu Z^T of the forms. */
-static void form_gram(dal_mechanics *mech)
+static void build_gram(dal_mechanics *mech)
 {
     dal__linear_multiply(&mech->gram.C, mech->eval.rows, mech->n, mech->forms.mu, mech->gram.Z);
 }
@@ -41,7 +41,7 @@ static int lost_rank(dal_mechanics *mech)
 
 int dal__factor_product(dal_mechanics *mech)
 {
-    form_gram(mech);
+    build_gram(mech);
     size_product(mech);
     return dal__linear_factor(&mech->gram.C) ? DAL_SUCCESS : lost_rank(mech);
 }
@@ -49,9 +49,9 @@ int dal__factor_product(dal_mechanics *mech)
 int dal__factor_gram(dal_mechanics *mech)
 {
     dal__linear *const C = &mech->gram.C;
-    dal__form_Z(mech, mech->forms.mu);
+    dal__build_Z(mech, mech->forms.mu);
     if (C->pattern) return dal__factor_product(mech);
-    form_gram(mech);
+    build_gram(mech);
     return dal__cholesky(mech->m, C->A, C->sizes, NULL, NULL) ? DAL_SUCCESS : lost_rank(mech);
 }
 
@@ -65,14 +65,14 @@ void dal__solve_gram(const dal_mechanics *mech, double *y)
 int dal_gram(dal_mechanics *mech, double t, const double *x, double *C)
 {
     int status = dal__require_state(mech, "C", C, 0.0, t, x);
-    if (!status) status = dal__form_metric(mech, t, x, x + mech->n);
+    if (!status) status = dal__build_metric(mech, t, x, x + mech->n);
     if (!status) /* without phi, which may overflow */
         status = dal__constraint(&mech->eval, t, x, x + mech->n, NULL, mech->forms.mu, NULL,
                                  NULL, &mech->error);
     if (status) return status;
     dal__copy(mech->n, x, mech->forms.q);
-    dal__form_Z(mech, mech->forms.mu);
-    form_gram(mech);
+    dal__build_Z(mech, mech->forms.mu);
+    build_gram(mech);
     const dal__linear *const gram = &mech->gram.C;
     const dal__pattern *const pattern = gram->pattern;
     const size_t m = mech->m;

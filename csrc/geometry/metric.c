@@ -33,7 +33,7 @@ int dal__factor_metric(dal_mechanics *mech, double t, const double *q, const dou
     return DAL_SUCCESS;
 }
 
-int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v)
+int dal__build_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
     if (mech->eval.constant_mass) return DAL_SUCCESS;
     const dal__jet wanted = {.L_vv = mech->metric.M};
@@ -52,7 +52,7 @@ int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const doub
         && memcmp(at, q, n * sizeof *q) == 0 && memcmp(at + n, v, n * sizeof *v) == 0
         && at[2 * n] == t)
         return DAL_SUCCESS;
-    const int status = dal__form_metric(mech, t, q, v);
+    const int status = dal__build_metric(mech, t, q, v);
     mech->eval.lagrangian_calls = calls;
     return status;
 }
@@ -77,7 +77,7 @@ void dal__weigh(const dal_mechanics *mech, const double *x, double *y)
     else dal__apply(mech->n, mech->n, mech->metric.M, x, y);
 }
 
-void dal__form_Z(dal_mechanics *mech, const double *mu)
+void dal__build_Z(dal_mechanics *mech, const double *mu)
 {
     const dal_rows *const rows = mech->eval.rows;
     const double *const inverse = mech->eval.system->mass_inverse;
@@ -91,7 +91,7 @@ void dal__form_Z(dal_mechanics *mech, const double *mu)
 int dal_metric(dal_mechanics *mech, double t, const double *x, double *M)
 {
     int status = dal__require_state(mech, "M", M, 0.0, t, x);
-    if (!status) status = dal__form_metric(mech, t, x, x + mech->n);
+    if (!status) status = dal__build_metric(mech, t, x, x + mech->n);
     if (status) return status;
     if (mech->eval.constant_mass) return dal_system_mass(mech->eval.system, M);
     dal__copy(mech->n * mech->n, mech->metric.M, M);

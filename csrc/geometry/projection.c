@@ -38,7 +38,7 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
             if (*relative <= bound) return DAL_SUCCESS;
         }
         last = without;
-        if (!along_Z) dal__form_Z(mech, at->mu);
+        if (!along_Z) dal__build_Z(mech, at->mu);
         if (pass > MOST) {
             dal__fail(&mech->error, DAL_ESINGULAR, "the relative residual of the constraint stays "
                       "at %.3g, allowed is %.3g", *relative, bound);
@@ -136,7 +136,7 @@ int dal_project(dal_mechanics *mech, double t, double shift, double *x, double *
     int status = dal__require_state(mech, "x", x, shift, t, x);
     if (!status) status = dal__forms_at(mech, t, 0.0, x, false);
     if (status) return status;
-    dal__form_Z(mech, mech->forms.mu);
+    dal__build_Z(mech, mech->forms.mu);
     return move_velocity(mech, t, shift, x, distance);
 }
 
@@ -151,7 +151,7 @@ void dal__add_impulse_of(dal_mechanics *mech, const double *change, double *impu
 
 /* Z <- the directions in which the free components alone may move, [M_ff^-1 mu_f^T, 0]: those of
  * the saddle point system of min (w-v)^T M (w-v) with mu w = 0 and w_i = v_i for the kept i. */
-static size_t form_free_Z(dal_mechanics *mech, const unsigned char *keep)
+static size_t build_free_Z(dal_mechanics *mech, const unsigned char *keep)
 {
     const size_t n = mech->n;
     const dal_rows *const rows = mech->eval.rows;
@@ -159,7 +159,7 @@ static size_t form_free_Z(dal_mechanics *mech, const unsigned char *keep)
     size_t free_count = 0;
     for (size_t i = 0; i < n; i++) free_count += !keep[i];
     if (mech->metric.masses) {
-        dal__form_Z(mech, mech->forms.mu);
+        dal__build_Z(mech, mech->forms.mu);
         for (size_t e = 0; e < dal__entries(&mech->eval); e++)
             if (keep[rows ? rows->column[e] : e % n]) mech->gram.Z[e] = 0.0;
         return free_count;
@@ -184,7 +184,7 @@ int dal_consistent(dal_mechanics *mech, double t, const unsigned char *keep, dou
     int status = dal__require_state(mech, "x", x, 0.0, t, x);
     if (!status) status = dal__forms_at(mech, t, 0.0, x, false);
     if (status) return status;
-    const size_t n = mech->n, free_count = form_free_Z(mech, keep);
+    const size_t n = mech->n, free_count = build_free_Z(mech, keep);
     status = move_velocity(mech, t, 0.0, x, distance);
     if (status == DAL_ESINGULAR) {
         dal__fail(&mech->error, DAL_ESINGULAR, "keep fixes %zu of %zu velocities: mu restricted to "

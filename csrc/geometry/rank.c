@@ -38,7 +38,7 @@ void dal__rank_find(dal__rank *rank, dal_mechanics *mech)
 {
     const dal__linear *const C = &mech->gram.C;
     const bool factored = mech->m > 0 && !C->pattern && !dal__factor_gram(mech);
-    if (C->pattern) dal__form_Z(mech, mech->forms.mu);
+    if (C->pattern) dal__build_Z(mech, mech->forms.mu);
     rank->inverse = factored ? 0.0 : (double)NAN;
     for (size_t a = 0; a < mech->m; a++) {
         rank->found[a] = C->pattern ? dal_rows_product(mech->eval.rows, mech->forms.mu, a,

@@ -22,7 +22,7 @@ int dal__forms_at(dal_mechanics *mech, double t, double shift, const double *x, 
 {
     const double *const v = x + mech->n;
     dal__move_node(mech, shift, x);
-    int status = dal__form_metric(mech, t, mech->forms.q, v);
+    int status = dal__build_metric(mech, t, mech->forms.q, v);
     if (!status) status = dal__evaluate_forms(mech, t, v, slopes);
     return status ? status : dal__require_output(&mech->error, "phi", mech->m, mech->forms.phi);
 }

@@ -156,7 +156,7 @@ static int relay(double far, void *ctx)
 {
     dal__worker *const self = ctx;
     const int returned = dal__relay(far, &self->watch);
-    if (returned) self->stopped = dal__callback_status(&self->run, "watch", returned);
+    if (returned) self->stopped = dal__run_callback_status(&self->run, "watch", returned);
     return returned;
 }
 

@@ -9,7 +9,7 @@ bool dal__run_is_over(const dal_run *run)
         || (dal__run_varies(run) && dal_stepper_time(run->stepper) == run->until);
 }
 
-int dal__callback_status(const dal_run *run, const char *name, int returned)
+int dal__run_callback_status(const dal_run *run, const char *name, int returned)
 {
     if (returned > 0) return DAL_STOPPED;
     if (returned == 0) return DAL_SUCCESS;

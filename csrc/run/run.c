@@ -46,8 +46,8 @@ static int store(dal_run *run)
     run->rows_set_before = run->stored > 0 ? run->rows_set : 0;
     run->stored++;
     if (!run->observer) return DAL_SUCCESS;
-    return dal__callback_status(run, "observer", run->observer(motion->steps, t, motion->x,
-                                                               run->observer_ctx));
+    const int returned = run->observer(motion->steps, t, motion->x, run->observer_ctx);
+    return dal__run_callback_status(run, "observer", returned);
 }
 
 /* Whether the inputs change here; *row <- to which. */
@@ -75,7 +75,7 @@ static int hand_inputs(dal_run *run)
         dal__forget(width, u);
         const int returned = run->control(motion->steps, dal_stepper_time(stepper), motion->x, u,
                                           run->control_ctx);
-        status = dal__callback_status(run, "control", returned);
+        status = dal__run_callback_status(run, "control", returned);
     }
     if (status) return status;
     status = dal_stepper_input(stepper, u);
@@ -124,7 +124,7 @@ static int report(const dal_run *run, size_t times_done)
         const happening *const one = &e->happened[k];
         const int returned = run->happened(one->event, step, one->t, one->x,
                                            one->reset ? one->after : NULL, run->happened_ctx);
-        const int answer = dal__callback_status(run, "happened", returned);
+        const int answer = dal__run_callback_status(run, "happened", returned);
         if (!status) status = answer;
     }
     return status;

@@ -63,6 +63,6 @@ void dal__guard_look(dal_run *run);
 void dal__guard_check(dal_run *run, size_t budget);
 
 /* The status of a function of the user that watches the run, by this name. */
-int dal__callback_status(const dal_run *run, const char *name, int returned);
+int dal__run_callback_status(const dal_run *run, const char *name, int returned);
 
 #endif /* DAL__RUN_H */

@@ -22,7 +22,7 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
         for (size_t i = 0; i < n; i++) mech->point[i] -= shift * x[n + i];
         y = mech->point;
     }
-    int status = dal__form_metric(mech, 0.0, y, y + n);
+    int status = dal__build_metric(mech, 0.0, y, y + n);
     if (!status) status = dal__energy(mech, 0.0, y, E);
     dal__weigh(mech, y + n, mech->step);
     *kinetic = 0.5 * dal__dot(n, y + n, mech->step);

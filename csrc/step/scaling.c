@@ -90,7 +90,7 @@ int dal__check_degree(dal_mechanics *mech, double t, const double *x, const char
     const size_t n = mech->n;
     const double *const M = mech->metric.M, *const other = mech->L_vv;
     bool same = true;
-    int status = dal__form_metric(mech, t, x, x + n);
+    int status = dal__build_metric(mech, t, x, x + n);
     if (status) return status;
     for (size_t i = 0; i < n; i++) mech->reach[i] = 2.0 * x[n + i] + mech->metric.unit[i];
     const dal__jet wanted = {.L_vv = mech->L_vv};

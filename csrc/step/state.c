@@ -9,7 +9,7 @@
 enum { VERSION = 10, HEAD = 5 };
 
 /* The head identifies a saved state: version, n, m, system and scheme, control of the steps. */
-static void form_head(const dal_stepper *self, double head[HEAD])
+static void build_head(const dal_stepper *self, double head[HEAD])
 {
     head[0] = VERSION;
     head[1] = (double)self->mech.n;
@@ -90,7 +90,7 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
     if (!status) status = dal__stepper_started(stepper);
     if (status) return status;
     dal__archive a = {.mode = DAL__SAVE, .to = values, .at = HEAD};
-    form_head(stepper, values);
+    build_head(stepper, values);
     save(stepper, &a);
     if (stepper->family->save) stepper->family->save(stepper->method, values + a.at);
     return DAL_SUCCESS;
@@ -99,7 +99,7 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
 static int check_head(dal_stepper *self, const double *values, size_t count)
 {
     double head[HEAD];
-    form_head(self, head);
+    build_head(self, head);
     if (count > 0 && values[0] != VERSION)
         return dal__fail(&self->error, DAL_EINVAL, "values[0] = %g: expected %d; the saved state "
                          "was written by another version of dalembert", values[0], VERSION);

@@ -149,7 +149,7 @@ static int check_steady(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
     const dal_rows *const rows = mech->eval.rows;
-    dal__form_Z(mech, mech->forms.mu);
+    dal__build_Z(mech, mech->forms.mu);
     for (size_t i = 0; i < n; i++) {
         double pushed = 0.0, changed = 0.0;
         const size_t begin = rows ? rows->above[i] : 0, end = rows ? rows->above[i + 1] : m;

@@ -42,7 +42,7 @@ DAL_RESIDUAL_INLINE double dal_residual_extent(size_t n, const double *per_unit,
 }
 
 /* |mu^a| of a row mu[n], with unit[n] the d_i. */
-DAL_RESIDUAL_INLINE double dal_residual_form(size_t n, const double *unit, const double *mu)
+DAL_RESIDUAL_INLINE double dal_residual_row_norm(size_t n, const double *unit, const double *mu)
 {
     double sum = 0.0;
     for (size_t i = 0; i < n; i++) sum += fabs(mu[i]) * unit[i];

@@ -160,7 +160,7 @@ static int refuse_singular(multiroot *s)
     const dal__forms *const at = &s->mech->forms;
     int status = dal__constraint(&s->mech->eval, t, at->q, s->w, NULL, at->mu, NULL, NULL,
                                  &s->mech->error);
-    if (!status) status = dal__form_metric(s->mech, t, at->q, s->w);
+    if (!status) status = dal__build_metric(s->mech, t, at->q, s->w);
     if (status || s->m == 0) return status;
     return dal__factor_gram(s->mech);
 }

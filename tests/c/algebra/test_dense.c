@@ -106,7 +106,7 @@ static void test_apply(void)
 }
 
 /* G <- the Gram matrix of rows[m*3] scaled to length 1, or 0. */
-static void form_gram(size_t m, const double (*rows)[3], double *G)
+static void build_gram(size_t m, const double (*rows)[3], double *G)
 {
     for (size_t a = 0; a < m; a++)
         for (size_t b = 0; b < m; b++) {
@@ -122,7 +122,7 @@ static void test_independent_rows(void)
     size_t order[4];
     /* the last of those that could be said to depend: e - 2 d, of lengths 1, 5, 5, and 0 */
     const double rows[4][3] = {{1, 0, 0}, {3, 4, 0}, {0, 0, 0}, {1, 4, 0}};
-    form_gram(4, rows, G);
+    build_gram(4, rows, G);
     CHECK(dal__independent_rows(4, G, 1e-12, order) == 2 && order[0] == 0 && order[1] == 1);
     const size_t k = order[2] == 3 ? 2 : 3;
     CHECK(order[k] == 3 && order[5 - k] == 2);
@@ -134,12 +134,12 @@ static void test_independent_rows(void)
 
     /* The second row is nearly the first, and exactly a sum of the others. */
     const double near[3][3] = {{1, 0, 0}, {1, 1e-4, 0}, {0, 1, 0}};
-    form_gram(3, near, G);
+    build_gram(3, near, G);
     CHECK(dal__independent_rows(3, G, 1e-12, order) == 2 && order[2] == 1);
     CHECK(order[0] == 0 && order[1] == 2);
     CHECK_NEAR(G[6], 1.0, 1e-8);
     CHECK_NEAR(G[7], 1e-4, 1e-8);
-    form_gram(3, near, G);
+    build_gram(3, near, G);
     CHECK(dal__independent_rows(1, G, 1e-12, order) == 1);
 
     G[1] = (double)NAN;

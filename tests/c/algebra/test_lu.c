@@ -335,8 +335,8 @@ static int factor_product(size_t m, size_t terms, const double *L, const double 
     for (size_t a = 0; a < m; a++) {
         for (size_t b = 0; b < m; b++)
             f->LU[a * m + b] = dal__dot(terms, L + a * terms, R + b * terms);
-        f->sizes[a] = dal_residual_form(terms, unit, L + a * terms);
-        f->sizes[m + a] = dal_residual_form(terms, unit, R + a * terms);
+        f->sizes[a] = dal_residual_row_norm(terms, unit, L + a * terms);
+        f->sizes[m + a] = dal_residual_row_norm(terms, unit, R + a * terms);
     }
     return dal_lu_factor(m, f->LU, f->sizes, f->row);
 }
