@@ -2,7 +2,6 @@
 #include "fixtures.h"
 #include "check.h"
 
-#include "dalembert/ensemble.h"
 #include "dalembert/events.h"
 #include "step/controlled.h"
 #include "step/embedded.h"
@@ -361,14 +360,8 @@ static void test_refused(void)
     CHECK(dal_stepper_until(stepper, 1.0) == DAL_SUCCESS);
     CHECK(dal_step(stepper, NULL) == DAL_EINVAL && dal_stepper_time(stepper) == 1.0);
     dal_run run = {.stepper = stepper, .steps = 5, .stride = 1, .until = 3.0};
-    dal_error error = {0};
     CHECK(dal_run_go(&run, 1) == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(stepper)->text, "until = 3") != NULL);
-    const double h = 0.1;
-    const size_t steps = 3;
-    dal_members members = {.count = 1, .h = &h, .steps = &steps};
-    CHECK(dal_ensemble_run(system, &kl6, &(dal_options){.tolerance = 1e-6}, &members, 0, 1, NULL,
-                           NULL, &error) != DAL_SUCCESS);
 }
 
 /* ---- runs ----------------------------------------------------------------------------------- */

@@ -2,7 +2,6 @@
 #include "fixtures.h"
 #include "check.h"
 
-#include "dalembert/ensemble.h"
 #include "dalembert/events.h"
 #include "step/reversible.h"
 #include "step/stepper.h"
@@ -523,7 +522,6 @@ static void test_refused(void)
 static void test_starts(void)
 {
     dal_system *const system = open_system("knife_edge");
-    const dal_scheme bm6 = find_scheme("bm6");
     dal_stepper *const stepper = reversible(system, "bm6", 0.125);
     double x[MOST_2N];
     CHECK(dal_stepper_until(stepper, 1.0) == DAL_EINVAL);
@@ -536,13 +534,6 @@ static void test_starts(void)
     begin_at(stepper, 0.0, 1.0, x);
     CHECK(dal_advance(stepper, 30, NULL, NULL) == DAL_SUCCESS && dal_stepper_h(stepper) > 1e3);
     begin(stepper, system);
-    dal_error error = {0};
-    const double h = 0.1;
-    const size_t steps = 3;
-    dal_members members = {.count = 1, .h = &h, .steps = &steps};
-    CHECK(dal_ensemble_run(system, &bm6, &(dal_options){.eps = 0.125}, &members, 0, 1, NULL, NULL,
-                           &error) == DAL_EUNSUPPORTED);
-    CHECK(strstr(error.text, "options.eps = 0.125") != NULL);
 
     dal_system *const spring = open_system("particle_oscillator");
     dal_stepper *const still = reversible(spring, "bm6", 0.125);
