@@ -20,7 +20,8 @@ visible size.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -274,50 +275,54 @@ def _in_space(run: Solution) -> Body:
     return point(run, range(3))
 
 
-def _pairs(run: Solution) -> Body:
-    """Return the oscillators (y_i, z_i) of `chaotic` and `disguised`, as dots in one plane."""
-    pairs = run.system.n // 2
+# The parameters of a system, the size of the path in the plane of x and y, and the state.
+_Drawing = Callable[[Mapping[str, float], float, float, Array, Array], list[Shape]]
 
-    def shapes(t: float, q: Array, v: Array) -> list[Shape]:
-        return [dot((q[1 + i], q[1 + pairs + i])) for i in range(pairs)]
 
-    return shapes
+def _drawn(shapes: _Drawing) -> Callable[[Solution], Body]:
+    """Return a function that makes the body of a run from a drawing."""
+
+    def make(run: Solution) -> Body:
+        return functools.partial(shapes, run.system.parameters, size(run.q[:, :2]))
+
+    return make
+
+
+@_drawn
+def _pairs(p: Any, whole: float, t: float, q: Array, v: Array) -> list[Shape]:
+    """Draw the oscillators (y_i, z_i) of `chaotic` and `disguised` as dots in one plane."""
+    pairs = len(q) // 2
+    return [dot((q[1 + i], q[1 + pairs + i])) for i in range(pairs)]
 
 
 # ---- blades --------------------------------------------------------------------------------------
 
 
-def _knife_edge(run: Solution) -> Body:
-    length = 0.12 * size(run.q[:, :2])
-
-    def shapes(t: float, q: Array, v: Array) -> list[Shape]:
-        return [blade(q[:2], q[2], length, 0), dot(q[:2] + 0.5 * length * direction(q[2]))]
-
-    return shapes
+@_drawn
+def _knife_edge(p: Any, whole: float, t: float, q: Array, v: Array) -> list[Shape]:
+    length = 0.12 * whole
+    return [blade(q[:2], q[2], length, 0), dot(q[:2] + 0.5 * length * direction(q[2]))]
 
 
 def _sleigh(ahead: float, rotor: float = 0.0) -> Callable[[Solution], Body]:
     """Return a sledge whose (x, y) is ``ahead`` times a ahead of the blade."""
 
-    def make(run: Solution) -> Body:
-        a = run.system.parameters["a"]
-        length = max(2.2 * abs(a), 0.08 * size(run.q[:, :2]))
+    @_drawn
+    def make(p: Any, whole: float, t: float, q: Array, v: Array) -> list[Shape]:
+        a = p["a"]
+        length = max(2.2 * abs(a), 0.08 * whole)
         side = length if a >= 0 else -length
-
-        def shapes(t: float, q: Array, v: Array) -> list[Shape]:
-            foot = q[:2] - ahead * a * direction(q[2])
-            centre = foot + a * direction(q[2])
-            found = [
-                polygon(_placed(side * _SLEDGE, foot, q[2])),
-                blade(foot, q[2], 0.5 * length, 0),
-                dot(centre),
-            ]
-            if rotor:
-                arm = rotor * length * direction(q[2] + q[3])
-                found[2:2] = [circle(centre, rotor * length), line(centre - arm, centre + arm)]
-            return found
-
-        return shapes
+        foot = q[:2] - ahead * a * direction(q[2])
+        centre = foot + a * direction(q[2])
+        found = [
+            polygon(_placed(side * _SLEDGE, foot, q[2])),
+            blade(foot, q[2], 0.5 * length, 0),
+            dot(centre),
+        ]
+        if rotor:
+            arm = rotor * length * direction(q[2] + q[3])
+            found[2:2] = [circle(centre, rotor * length), line(centre - arm, centre + arm)]
+        return found
 
     return make
 
@@ -333,29 +338,25 @@ def _wheel(
     A material point has the angle s from the lowest point at roll = 0.
     """
 
-    def make(run: Solution) -> Body:
-        r = run.system.parameters[radius]
+    @_drawn
+    def make(p: Any, whole: float, t: float, q: Array, v: Array) -> list[Shape]:
+        r = p[radius]
+        ahead = np.append(direction(q[heading]), 0.0)
+        tilt = 0.0 if lean is None else q[lean]
+        aside = np.append(-_normal(q[heading]), 0.0)
+        up = np.array([0, 0, np.cos(tilt)]) + np.sin(tilt) * aside
+        foot = np.append(q[:2], 0.0) - r * np.sin(tilt) * aside
+        centre = foot + r * up
 
-        def shapes(t: float, q: Array, v: Array) -> list[Shape]:
-            ahead = np.append(direction(q[heading]), 0.0)
-            tilt = 0.0 if lean is None else q[lean]
-            aside = np.append(-_normal(q[heading]), 0.0)
-            up = np.array([0, 0, np.cos(tilt)]) + np.sin(tilt) * aside
-            foot = np.append(q[:2], 0.0) - r * np.sin(tilt) * aside
-            centre = foot + r * up
+        def rim(angle: Any) -> Array:
+            s = np.atleast_1d(q[roll] + angle)[:, None]
+            return centre - r * (np.sin(s) * ahead + np.cos(s) * up)
 
-            def rim(angle: Any) -> Array:
-                s = np.atleast_1d(q[roll] + angle)[:, None]
-                return centre - r * (np.sin(s) * ahead + np.cos(s) * up)
-
-            spokes = [line(rim(s)[0], rim(s + np.pi)[0]) for s in (0, np.pi / 2)]
-            # The rim begins below, whatever the roll: its first point is the contact.
-            return [
-                polygon(rim(_ANGLES - q[roll])), *spokes, Shape("blade", rim(_RIM)),
-                dot(foot, (0, 1)),
-            ]  # fmt: skip
-
-        return shapes
+        spokes = [line(rim(s)[0], rim(s + np.pi)[0]) for s in (0, np.pi / 2)]
+        # The rim begins below, whatever the roll: its first point is the contact.
+        return [
+            polygon(rim(_ANGLES - q[roll])), *spokes, Shape("blade", rim(_RIM)), dot(foot, (0, 1)),
+        ]  # fmt: skip
 
     return make
 
@@ -396,95 +397,75 @@ def _axle(
     ]
 
 
-def _snakeboard(run: Solution) -> Body:
-    r = run.system.parameters["r"]
-
-    def shapes(t: float, q: Array, v: Array) -> list[Shape]:
-        at, theta, psi, phi = q[:2], q[2], q[3], q[4]
-        arm = 0.45 * r * direction(theta + psi)
-        back, front = at - r * direction(theta), at + r * direction(theta)
-        return [
-            polygon(_placed(_BOX * (2.1 * r, 0.3 * r), at, theta)),
-            *_axle(back, theta + phi, 0.32 * r, 0.4 * r, 0),
-            *_axle(front, theta - phi, 0.32 * r, 0.4 * r, 1),
-            line(at - arm, at + arm),
-            dot(at + arm),
-            dot(at - arm),
-        ]
-
-    return shapes
+@_drawn
+def _snakeboard(p: Any, whole: float, t: float, q: Array, v: Array) -> list[Shape]:
+    r, at, theta, psi, phi = p["r"], q[:2], q[2], q[3], q[4]
+    arm = 0.45 * r * direction(theta + psi)
+    back, front = at - r * direction(theta), at + r * direction(theta)
+    return [
+        polygon(_placed(_BOX * (2.1 * r, 0.3 * r), at, theta)),
+        *_axle(back, theta + phi, 0.32 * r, 0.4 * r, 0),
+        *_axle(front, theta - phi, 0.32 * r, 0.4 * r, 1),
+        line(at - arm, at + arm),
+        dot(at + arm),
+        dot(at - arm),
+    ]
 
 
-def _n_trailer(run: Solution) -> Body:
-    d = run.system.parameters["d"]
-
-    def shapes(t: float, q: Array, v: Array) -> list[Shape]:
-        at, found = q[:2], []
-        for i, theta in enumerate(q[2:]):
-            if i > 0:
-                behind = at - d * direction(theta)
-                found.append(line(at, behind))
-                at = behind
-            long = 0.55 * d if i == 0 else 0.4 * d
-            found.append(polygon(_placed(_BOX * (long, 0.36 * d), at, theta)))
-            found += _axle(at, theta, 0.26 * d, 0.28 * d, i)
-        return found
-
-    return shapes
+@_drawn
+def _n_trailer(p: Any, whole: float, t: float, q: Array, v: Array) -> list[Shape]:
+    d, at, found = p["d"], q[:2], []
+    for i, theta in enumerate(q[2:]):
+        if i > 0:
+            behind = at - d * direction(theta)
+            found.append(line(at, behind))
+            at = behind
+        long = 0.55 * d if i == 0 else 0.4 * d
+        found.append(polygon(_placed(_BOX * (long, 0.36 * d), at, theta)))
+        found += _axle(at, theta, 0.26 * d, 0.28 * d, i)
+    return found
 
 
-def _steered_car(run: Solution) -> Body:
-    l = run.system.parameters["l"]
-
-    def shapes(t: float, q: Array, v: Array) -> list[Shape]:
-        at, theta, phi = q[:2], q[2], q[3]
-        ahead = l * direction(theta)
-        return [
-            polygon(_placed(_BOX * (1.5 * l, 0.5 * l), at + ahead / 2, theta)),
-            *_axle(at, theta, 0.34 * l, 0.34 * l, 0),
-            *_axle(at + ahead, theta + phi, 0.34 * l, 0.34 * l, 1),
-        ]
-
-    return shapes
+@_drawn
+def _steered_car(p: Any, whole: float, t: float, q: Array, v: Array) -> list[Shape]:
+    l, at, theta, phi = p["l"], q[:2], q[2], q[3]
+    ahead = l * direction(theta)
+    return [
+        polygon(_placed(_BOX * (1.5 * l, 0.5 * l), at + ahead / 2, theta)),
+        *_axle(at, theta, 0.34 * l, 0.34 * l, 0),
+        *_axle(at + ahead, theta + phi, 0.34 * l, 0.34 * l, 1),
+    ]
 
 
-def _roller_racer(run: Solution) -> Body:
-    d1, d2 = run.system.parameters["d1"], run.system.parameters["d2"]
+@_drawn
+def _roller_racer(p: Any, whole: float, t: float, q: Array, v: Array) -> list[Shape]:
+    d1, d2, at, theta, phi = p["d1"], p["d2"], q[:2], q[2], q[3]
     width = 0.35 * (d1 + d2)
-
-    def shapes(t: float, q: Array, v: Array) -> list[Shape]:
-        at, theta, phi = q[:2], q[2], q[3]
-        hinge = at + d1 * direction(theta)
-        front = hinge + d2 * direction(theta + phi)
-        seat = [(-0.25 * width, -width), (-0.25 * width, width), (d1, 0)]
-        return [
-            polygon(_placed(np.array(seat), at, theta)),
-            line(hinge, front),
-            *_axle(at, theta, width, 0.6 * width, 0),
-            *_axle(front, theta + phi, 0.6 * width, 0.6 * width, 1),
-            dot(hinge),
-        ]
-
-    return shapes
+    hinge = at + d1 * direction(theta)
+    front = hinge + d2 * direction(theta + phi)
+    seat = [(-0.25 * width, -width), (-0.25 * width, width), (d1, 0)]
+    return [
+        polygon(_placed(np.array(seat), at, theta)),
+        line(hinge, front),
+        *_axle(at, theta, width, 0.6 * width, 0),
+        *_axle(front, theta + phi, 0.6 * width, 0.6 * width, 1),
+        dot(hinge),
+    ]
 
 
-def _two_wheeled_robot(run: Solution) -> Body:
-    a, b, r = (run.system.parameters[x] for x in "abr")
-
-    def shapes(t: float, q: Array, v: Array) -> list[Shape]:
-        at, theta = q[:2], q[2]
-        side = b * _normal(theta)
-        return [
-            circle(at, 0.9 * b),
-            line(at - side, at + side),
-            line(at, at + a * direction(theta)),
-            blade(at - side, theta, 2 * r, 1),
-            blade(at + side, theta, 2 * r, 2),
-            dot(at, 0),
-            dot(at + a * direction(theta)),
-        ]
-
-    return shapes
+@_drawn
+def _two_wheeled_robot(p: Any, whole: float, t: float, q: Array, v: Array) -> list[Shape]:
+    a, b, r, at, theta = p["a"], p["b"], p["r"], q[:2], q[2]
+    side = b * _normal(theta)
+    return [
+        circle(at, 0.9 * b),
+        line(at - side, at + side),
+        line(at, at + a * direction(theta)),
+        blade(at - side, theta, 2 * r, 1),
+        blade(at + side, theta, 2 * r, 2),
+        dot(at, 0),
+        dot(at + a * direction(theta)),
+    ]
 
 
 # ---- which system has which ----------------------------------------------------------------------
