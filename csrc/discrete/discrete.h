@@ -113,8 +113,6 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
 /* dal_discrete_advance; the residual of D raises *worst. */
 int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda,
                           double *worst);
-/* The record that dal_discrete_error reads. */
-dal_error *dal__discrete_error(dal_discrete *discrete);
 /* d->K -= factor df/d(point[n]), where f[n], whose ctx is d, is differenced. */
 int dal__discrete_bend(dal_discrete *d, dal__function f, double factor, const double *point);
 /* d->phi, d->phi_v, and d->B if derivative. */

@@ -65,8 +65,6 @@ int dal_discrete_input(dal_discrete *discrete, const double *u)
     return discrete ? dal_mechanics_input(&discrete->mech, u) : DAL_EINVAL;
 }
 
-dal_error *dal__discrete_error(dal_discrete *discrete) { return &discrete->mech.error; }
-
 /* ---- pairs -------------------------------------------------------------------------------- */
 
 int dal__discrete_require(dal_discrete *d, const char *name_t, double t, double h,

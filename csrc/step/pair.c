@@ -114,7 +114,7 @@ static int step(pair_steps *self, dal_motion *motion, double number)
     if (!self->discrete) return full_step(self, motion, t, end);
     const int status = dal__discrete_advance(self->discrete, t, h, self->x, self->kappa,
                                              &motion->stats->worst_residual);
-    if (status) *motion->error = *dal__discrete_error(self->discrete);
+    if (status) *motion->error = *dal_discrete_error(self->discrete);
     for (size_t a = 0; a < m; a++) self->kappa[a] *= h;
     return status;
 }
