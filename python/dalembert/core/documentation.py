@@ -97,7 +97,8 @@ class Common(Shared):
         Initial data in D, in the user's units; pass both or neither.  Default: the system's initial
         data.
     progress : bool or callable, optional
-        True: show a tqdm bar.  A function is called as ``progress(done, total)``.
+        True: show a tqdm bar.  A function is called as ``progress(done, total)``, with numbers of
+        steps, frames or pages.
     ax : matplotlib axes, optional
         Default: new axes.
 

@@ -111,6 +111,7 @@ class Animation:
 
     # ---- files -----------------------------------------------------------------------------------
 
+    @Documented("ImportError, OSError")
     def save(self, path: str | Path, *, progress: Progress = False) -> None:
         """Write the film to a file, completely or not at all.
 
@@ -119,22 +120,14 @@ class Animation:
         path : str or Path
             The file.  The suffix determines the format: ``.gif``; ``.mp4``, which needs ffmpeg;
             ``.html``, a self-contained page with a slider, the energy and the residual.
-        progress : bool or callable, optional
-            True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers
-            of frames.
 
         Raises
         ------
         ValueError
             If the suffix is another, or a GIF would have more than 50 frames per second, which
             browsers do not show.
-        ImportError
-            If Pillow, or Jinja2 for a page, is not installed.  The message has the command that
-            installs it.
         RuntimeError
             If ffmpeg is not installed or fails.
-        OSError
-            If the file cannot be written.
 
         Examples
         --------

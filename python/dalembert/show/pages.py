@@ -54,9 +54,6 @@ def write(
     chosen : str, System or iterable of them, optional
         Names of systems, or systems with initial data.  Default: all systems of the library; those
         written in SymPy only if it is installed.
-    progress : bool or callable, optional
-        True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers of
-        pages, before each and at the end.
 
     Returns
     -------

@@ -194,6 +194,7 @@ class Embedding(core.Constant):
         """Approximate noise in g: the accuracy of F times h^-(p+1)."""
         return self._noise
 
+    @_Documented("ValueError")
     def with_step(self, h: float) -> Embedding:
         """Return the embedding with another step, of the same order.
 
@@ -201,11 +202,6 @@ class Embedding(core.Constant):
         ----------
         h : float
             The new step, not 0.
-
-        Raises
-        ------
-        ValueError
-            If h is 0 or not finite.
 
         Examples
         --------

@@ -71,9 +71,6 @@ def convergence(
     max_steps : int, optional
         Largest total number of steps of all runs.  A larger study raises ValueError before the
         first run.
-    progress : bool or callable, optional
-        True: show a tqdm bar.  A function is called as ``progress(done, total)`` with numbers of
-        steps.
 
     Raises
     ------
