@@ -16,13 +16,11 @@ from .errors import (
     NotOnConstraintError,
     SingularError,
     ZenoError,
-    adopt,
     attempt,
     call,
     check,
     failure,
     make,
-    verify,
     words,
 )
 from .handle import (

@@ -166,39 +166,33 @@ def failure(
     return exception_type(message)
 
 
-def check(status: int, message: str = "", *, step: int | None = None) -> None:
-    """Raise the exception of ``status``, unless it is success."""
-    if status < 0:
-        raise failure(status, message, step=step)
-
-
-def verify(
-    status: int, source: Any, kind: str = "linear", *, hint: str = "", **where: Any
+def check(
+    status: int, source: Any = "", kind: str = "linear", *, hint: str = "", **where: Any
 ) -> None:
-    """Raise like :func:`check`, with the message of a C object (see :func:`words`), step and t."""
+    """Raise the exception of a status, unless it is success.
+
+    The ``source`` is the message, or a C object with its message (see :func:`words`).
+    """
     if status < 0:
-        raise failure(status, words(source, kind) + hint, **where)
+        message = source if isinstance(source, str) else words(source, kind)
+        raise failure(status, message + hint, **where)
 
 
 def call(
     kind: str, function: Callable[..., int], one: Any, *arguments: Any, step: int | None = None
 ) -> None:
     """Call a function of a C object, on a system with constraints of a kind."""
-    verify(attempt(function, one, *arguments), one, kind, step=step)
+    check(attempt(function, one, *arguments), one, kind, step=step)
 
 
-def make(kind: str, *arguments: Any, owner: Any = None) -> Any:
-    """Return a C object ``dal_<kind>`` from ``dal_<kind>_new(&object, *arguments, &error)``.
+def make(kind: str, *arguments: Any, owner: Any = None, new: Any = None) -> Any:
+    """Return a C object ``dal_<kind>`` from ``new(&object, *arguments, &error)``.
 
-    The object is freed with the last reference to it, and keeps ``owner`` alive until then.
+    The default constructor is ``dal_<kind>_new``.  The object is freed with the last reference to
+    it, and keeps ``owner`` alive until then.
     """
-    return adopt(kind, getattr(lib, f"dal_{kind}_new"), *arguments, owner=owner)
-
-
-def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None) -> Any:
-    """Return a C object like :func:`make`, for a constructor of another name."""
     slot, error = ffi.new(f"dal_{kind} **"), ffi.new("dal_error *")
-    verify(attempt(new, slot, *arguments, error), error)
+    check(attempt(new or getattr(lib, f"dal_{kind}_new"), slot, *arguments, error), error)
     free = getattr(lib, f"dal_{kind}_free")
 
     def release(handle: Any, _owner: Any = owner) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from . import arguments
 from .arguments import Array, shown
-from .errors import call, make, name_of, verify
+from .errors import call, check, make, name_of
 from .functions import differenced
 from .library import Constant, doubles, ffi, lib, pointer, string
 
@@ -49,7 +49,7 @@ class Workspaces:
 
     def check(self, status: int, one: Any, step: int | None = None) -> None:
         """Raise the exception for a status of an object, unless it is success."""
-        verify(status, one, self._kind, step=step)
+        check(status, one, self._kind, step=step)
 
     def call(self, function: Callable[..., int], *given: Any) -> Any:
         """Call ``function(one, *given)``; a tuple stands for an output array, see `rows`."""

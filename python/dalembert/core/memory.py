@@ -16,3 +16,12 @@ def available_memory() -> int:
     with contextlib.suppress(AttributeError, OSError, ValueError):
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return sys.maxsize
+
+
+def require_memory(size: int, what: str, advice: str) -> None:
+    """Raise MemoryError if so many bytes for ``what`` do not fit, before any allocation."""
+    if size > 2**24 and size > (memory := available_memory()):  # which takes a while to ask
+        raise MemoryError(
+            f"{what} need {size} bytes ({size / 2**30:.4g} GiB), and this machine has "
+            f"{memory / 2**30:.4g} GiB: {advice}"
+        )

@@ -98,7 +98,7 @@ options_of: Callable[[Any], dict[str, Option]] = functools.cache(_options_of)
 
 def takes(record: Callable[P, Any]) -> Callable[[Callable[..., R]], Callable[P, R]]:
     """Give a function the signature of a record, and its docstring the text of the options."""
-    return lambda function: documents(record)(_signed(function, record, []))
+    return lambda function: _signed(function, record, [])
 
 
 def method(
@@ -106,14 +106,14 @@ def method(
 ) -> Callable[[Callable[..., R]], Callable[Concatenate[Any, P], R]]:
     """Give a method the signature of a record, as `takes` does for a function."""
     first = inspect.Parameter("self", inspect.Parameter.POSITIONAL_ONLY)
-    return lambda function: documents(record)(_signed(function, record, [first]))
+    return lambda function: _signed(function, record, [first])
 
 
 def _signed(function: Any, record: Any, first: list[inspect.Parameter]) -> Any:
     parameters = [*first, *inspect.signature(record).parameters.values()]
     returns = function.__annotations__["return"]
     function.__signature__ = inspect.Signature(parameters, return_annotation=returns)
-    return function
+    return documents(record)(function)
 
 
 def documents(record: Any) -> Callable[[R], R]:
@@ -150,14 +150,13 @@ class Record:
         try:
             return cls(*args, **given)
         except TypeError:
-            hint = ""
+            unknown = sorted(given.keys() - options_of(cls).keys())
+            hint = arguments.suggestion(unknown[0], options_of(cls)) if unknown else ""
             try:
                 inspect.signature(cls).bind(*args, **given)
-            except TypeError as wrong:
-                error = wrong
-            for unknown in sorted(given.keys() - options_of(cls).keys())[:1]:
-                hint = arguments.suggestion(unknown, options_of(cls))
-            raise TypeError(f"{name}(): {error}; {hint}".rstrip("; ")) from None
+            except TypeError as error:
+                raise TypeError(f"{name}(): {error}; {hint}".rstrip("; ")) from None
+            raise
 
     def having(self, **values: Any) -> Self:
         """Return the record with other values."""

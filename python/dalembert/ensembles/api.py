@@ -17,7 +17,7 @@ import numpy as np
 
 from .. import core
 from ..core import Array, DalembertWarning, arguments, extras, lib, require_system
-from ..core.memory import available_memory
+from ..core.memory import require_memory
 from ..core.records import options_of, takes
 from ..run.events import CONSISTENCY, Event
 from ..run.events import laws as events_of
@@ -114,7 +114,8 @@ def ensemble(*args: Any, **given: Any) -> Ensemble:
     pieces = executors.Blocks(spec, asked.block or _size(spec, is_sent))
     data: Memory | Stored
     if path is None:
-        _require_memory(spec)
+        size, rows = _bytes_of_member(spec) * spec.count, f"members of {spec.rows} rows"
+        require_memory(size, f"{spec.count} {rows}", "keep fewer quantities, or pass store=")
         data = Memory(spec, pieces.size)
     else:
         about = _about(spec, pieces.size)
@@ -215,7 +216,7 @@ def _spec(given: EnsembleOptions) -> EnsembleSpec:
         number = np.array([one.count for one in many])[np.searchsorted(different, sizes)]
         scheme = with_method(scheme, asked.method, asked.tolerance)
     counts = [one.count for one in many]
-    stride = _stride(asked.stride, output, counts, bool(control))
+    stride = _stride(asked.stride, output, many)
     inputs = take_inputs(system, asked.inputs)
     hold = None if inputs is None else many[0].hold(asked.hold, inputs)
     if inputs is not None and not is_control(inputs) and len(set(counts)) > 1:
@@ -223,10 +224,6 @@ def _spec(given: EnsembleOptions) -> EnsembleSpec:
             "inputs: the numbers of steps differ between members; expected a function, or the "
             "same number of steps"
         )
-    if callable(inputs):
-        arguments.function(inputs, "inputs", "t, q, v")
-        if not system.inputs:
-            raise ValueError("inputs: the system has no inputs; remove it")
     members = read_members(asked, inputs, many[0].holds(hold or 1))
     require_parameters(system.name, members["parameters"], system.parameters)
     values = {k: x for k, x in members.items() if k != "parameters"}
@@ -247,7 +244,7 @@ def _spec(given: EnsembleOptions) -> EnsembleSpec:
     )  # fmt: skip
 
 
-def _stride(stride: int | None, output: Output, counts: list[int], varies: bool) -> int:
+def _stride(stride: int | None, output: Output, many: list[Steps]) -> int:
     """Return the stride, 0 if only the end is kept."""
     if output.at_end:
         if stride is not None:
@@ -255,19 +252,12 @@ def _stride(stride: int | None, output: Output, counts: list[int], varies: bool)
                 f"stride = {stride}: not used, because only the end is kept; remove it"
             )
         return 0
-    found = stride or 1
-    if output.reduce is None and (varies or len(set(counts)) > 1):
+    if output.reduce is None and (many[0].varies or len({one.count for one in many}) > 1):
         raise ValueError(
             "keep: the numbers of rows differ between members; expected 'end', or a function "
             "of a Solution"
         )
-    for count in counts:
-        if count % found and not varies:
-            raise ValueError(
-                f"steps = {count}: expected a multiple of stride = {found}, "
-                f"{count - count % found} or {count - count % found + found}"
-            )
-    return found
+    return max(one.stride(stride) for one in many)
 
 
 # ---- blocks --------------------------------------------------------------------------------------
@@ -328,18 +318,6 @@ def _first_state(spec: EnsembleSpec) -> Array:
     if "x" in rows:
         return rows["x"][0]
     return np.concatenate([system.q0, system.v0])
-
-
-def _require_memory(spec: EnsembleSpec) -> None:
-    """Raise MemoryError if the results would not fit in memory."""
-    size = _bytes_of_member(spec) * spec.count
-    memory = available_memory() if size > 2**24 else size
-    if size > memory:
-        raise MemoryError(
-            f"{spec.count} members of {spec.rows} rows need {size} bytes ({size / 2**30:.4g} "
-            f"GiB), and this machine has {memory / 2**30:.4g} GiB: keep fewer quantities, or "
-            "pass store="
-        )
 
 
 def _warn(found: Ensemble) -> None:

@@ -24,8 +24,8 @@ class Memory:
 
     def __init__(self, spec: EnsembleSpec, size: int) -> None:
         self._count, self._size = spec.count, size
-        self._arrays = _blanks(spec)
-        self.messages: dict[int, str] = {}
+        self._arrays = block.empty(spec.common, spec.rows, spec.count)
+        self.messages: dict[int, str] = self._arrays.pop("messages")
 
     def put(self, index: int, made: block.Block) -> None:
         """Store a block."""
@@ -70,15 +70,6 @@ def _blank(name: str, kind: np.dtype[Any]) -> tuple[Any, Any]:
     if name == "status":
         return lib.DAL_STOPPED, kind
     return (np.nan if kind.kind == "f" else -1 if name == "ended_by" else 0), kind
-
-
-def _blanks(spec: EnsembleSpec) -> dict[str, Array]:
-    """Return the arrays of an ensemble without any computed member."""
-    layout = block.layout(spec.common, spec.rows)
-    return {
-        name: np.full((spec.count, *shape), value, kind)
-        for name, (shape, kind, value) in layout.items()
-    }
 
 
 class Stored:

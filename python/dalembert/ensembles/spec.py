@@ -177,8 +177,7 @@ class EnsembleOptions(Events, Inputs, Sampling, Step, Extent, Size, _Members):
         "Results have a row for each stored state.  Not allowed if only the end is kept."))
     inputs: Any = field(default=None, metadata=extended(Inputs, "inputs", """
         An array may have leading axes, shape (..., holds, k).  Expressions are evaluated in C with
-        the parameters of each member.
-    """))
+        the parameters of each member."""))
     events: Any = field(default=(), metadata=extended(
         Events, "events", "Events and resets given as expressions are computed in C."))
     keep: Any = option("str, sequence of str or callable", """
@@ -193,12 +192,10 @@ class EnsembleOptions(Events, Inputs, Sampling, Step, Extent, Size, _Members):
     """, default="end", parse=lambda text: text.split(","), metavar="NAME,...")
     axes: Any = option("sequence of str, or mapping of str to array_like", """
         Names of the axes of the members, and values along them, for plots and xarray.  Default: the
-        axes of a `grid`.
-    """)
+        axes of a `grid`.""")
     executor: Any = option("concurrent.futures.Executor, or function that returns one", """
         Executor of blocks of members, each of some seconds: a ``ProcessPoolExecutor``, dask's
-        ``client.get_executor(pure=False)``, ...  Default: threads of this process.
-    """)
+        ``client.get_executor(pure=False)``, ...  Default: threads of this process.""")
     threads: int | None = option(
         "int", "Number of threads; default: one for each processor.", parse=int, metavar="N")
     lanes: bool = option("bool", """
@@ -211,8 +208,7 @@ class EnsembleOptions(Events, Inputs, Sampling, Step, Extent, Size, _Members):
     """, default=False, parse=bool)
     store: str | os.PathLike[str] | None = option("str or path", """
         A directory for the results, one file for each block.  After an interruption, the same call
-        resumes: finished blocks are not computed again.
-    """, parse=Path, metavar="DIR")
+        resumes: finished blocks are not computed again.""", parse=Path, metavar="DIR")
     block: int | None = option(
         "int", "Number of members in a block; default: as many as take some seconds.",
         read=partial(arguments.integer, least=1), parse=int, metavar="N")

@@ -243,7 +243,7 @@ def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None, t: float =
     finding = ffi.addressof(report, "finding")
     # A callback that is not finite is a finding; an exception of the user's is not.
     if status < 0 and not (status == lib.DAL_EDOMAIN and core.string(finding.text)):
-        core.verify(status, error, system.kind)
+        core.check(status, error, system.kind)
     is_summary = core.string(finding.output) == "D"
     on_D = ffi.string(finding.text)[finding.begin :] if is_summary else b""
     return Check(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
@@ -22,7 +21,7 @@ from ..core import (
     extras,
     lib,
 )
-from ..core.memory import available_memory
+from ..core.memory import require_memory
 from ..core.records import takes
 from ..system import System
 from .events import CONSISTENCY, Watch
@@ -100,13 +99,7 @@ def integrate(*args: Any, **given: Any) -> Solution:
     asked = IntegrateOptions.of("integrate", args, given).read()
     system, scheme, sizes = asked.system, asked.scheme, Steps.of(asked)
     assert isinstance(scheme, Scheme)
-    stride = 1 if asked.stride is None else asked.stride
-    if not sizes.varies and sizes.count % stride:
-        less = sizes.count - sizes.count % stride
-        raise ValueError(
-            f"steps = {sizes.count}: expected a multiple of stride = {stride}, {less} or "
-            f"{less + stride}"
-        )
+    stride = sizes.stride(asked.stride)
     chosen = with_method(scheme, asked.method, None if sizes.varies else asked.tolerance)
     if chosen.is_series:
         require_supported(system)
@@ -116,11 +109,11 @@ def integrate(*args: Any, **given: Any) -> Solution:
     times = None if asked.t_eval is None else _times(asked.t_eval, sizes)
     inputs = take_inputs(system, asked.inputs)
     hold = sizes.hold(asked.hold, inputs)
-    if callable(inputs):
-        arguments.function(inputs, "inputs", "t, q, v")
     if not sizes.varies:
         rows = sizes.count // stride if times is None else len(times)
-        _require_memory(system, rows, sizes.count, stride)
+        size = 8 * ((rows + 1) * (2 * system.n + 1) + rows * system.m)
+        stored = f"steps = {sizes.count} with stride = {stride}: {rows + 1} states"
+        require_memory(size, stored, "use a larger stride")
 
     first = first_inputs(system, inputs, sizes.holds(hold), x0, asked.t0)
     of_series = chosen.is_series  # which have no stepper, but of C's flow their initial data
@@ -194,12 +187,11 @@ def resume(*args: Any, **given: Any) -> Solution:
     """
     asked = ResumeOptions.of("resume", args, given)
     journal = Journal.open(asked.path, writes=True, errors=asked.journal_errors)
-    about, stride = journal.about, int(journal.info.stride)
+    about = journal.about
     system, record = journal.system(asked.system), journal.scheme(asked.scheme)
     read = asked.taken(kind_of(record, about["control"].get("h")), journal=journal)
     sizes = journal.steps(read.t_end, read.steps)
-    if not sizes.varies and sizes.count % stride:
-        raise ValueError(f"steps = {sizes.count}: expected a multiple of stride = {stride}")
+    stride = sizes.stride(int(journal.info.stride))
     inputs = take_inputs(system, read.inputs)
     journal.require_law(system, inputs)
     if about["inputs"] and inputs is None:
@@ -254,18 +246,6 @@ def with_method(record: Scheme, method: str | None, tolerance: float | None) -> 
             "and a tolerance; remove them, or pass scheme='reference'"
         )
     return record
-
-
-def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
-    """Raise MemoryError if the arrays of a run do not fit, before any allocation."""
-    size = 8 * ((rows + 1) * (2 * system.n + 1) + rows * system.m)
-    memory = available_memory() if size > 2**24 else sys.maxsize  # which takes a while to ask
-    if size > memory:
-        raise MemoryError(
-            f"steps = {steps} with stride = {stride} stores {rows + 1} states, {size} bytes "
-            f"({size / 2**30:.4g} GiB), and this machine has {memory / 2**30:.4g} GiB: use a "
-            "larger stride"
-        )
 
 
 def _times(given: ArrayLike, steps: Steps) -> Array:

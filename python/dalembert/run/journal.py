@@ -170,7 +170,8 @@ class Journal:
         name = _name(path)
         os.stat(name)  # an OSError of the usual kind, if it is not there
         options = ffi.new("dal_journal_options *", {"goes_on": goes_on, "seconds": SECONDS})
-        handle = core.adopt("journal", lib.dal_journal_open, os.fsencode(name), writes, options)
+        given = os.fsencode(name), writes, options
+        handle = core.make("journal", *given, new=lib.dal_journal_open)
         journal = cls(os.fsdecode(name), handle, bool(goes_on))
         if journal.info.cut and not journal.info.is_written:
             warnings.warn(
@@ -237,7 +238,7 @@ class Journal:
         run.x[0] = self.about["system"]["state"]  # of output times, C has no rows
         error = ffi.new("dal_error *")
         status = core.attempt(lib.dal_journal_resume, self._handle, run.run, error)
-        core.verify(status, error, run.system.kind)
+        core.check(status, error, run.system.kind)
         run.journal = self
 
     def tell(self) -> None:

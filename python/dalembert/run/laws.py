@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .. import core
-from ..core import ffi, lib
+from ..core import arguments, ffi, lib
 from ..symbolic import event
 from ..system import System
 
@@ -70,7 +70,11 @@ Inputs = Any  # rows, or what makes them: Law | Callable[..., Any]
 def take_inputs(system: System, given: Any) -> Inputs:
     """Return inputs as a `Law` if a mapping has expressions, else unchanged."""
     if isinstance(given, Mapping) and any(map(is_expression, given.values())):
-        return Law(tuple(event.inputs(system, given)))
+        given = Law(tuple(event.inputs(system, given)))
+    elif callable(given):
+        arguments.function(given, "inputs", "t, q, v")
+    if is_control(given) and not system.inputs:
+        raise ValueError("inputs: the system has no inputs; remove it")
     return given
 
 

@@ -143,10 +143,7 @@ class RunRecord(Record):
     def taken(self, kind: str, **beside: Any) -> Self:
         """Return the record with checked values, for a run of this kind with options ``beside``."""
         listed = options_of(type(self))
-        given = {
-            name: x for name, x in vars(self).items()
-            if x is not None or listed[name].default is not None
-        }  # fmt: skip
+        given = {name: x for name, x in vars(self).items() if x is not listed[name].default}
         require(kind, {**given, **beside}, listed)
         return self.having(**{name: listed[name].take(x, name) for name, x in given.items()})
 
@@ -184,7 +181,7 @@ class Options(RunRecord):
             found["tolerance"] = _positive(tolerance, "tolerance")
         if kind == "reversible" and given.eps is None:
             eps, error = ffi.new("double *"), ffi.new("dal_error *")
-            core.verify(lib.dal_scheme_eps(scheme._record, eps, error), error)
+            core.check(lib.dal_scheme_eps(scheme._record, eps, error), error)
             found["eps"] = eps[0]
         scheme._initial(given.initial)
         return self.taken(kind).having(**found)
@@ -252,16 +249,14 @@ class Size:
         time.  The energy of a reversible system then does not drift.  Use it for repeated close
         approaches over long times only.  Requires a symmetric composition and constant mass,
         without forces, inputs or dependence on time.  The run warns if irreversible steps changed
-        the energy by more than 1e-6 of the largest kinetic energy.
-    """, parse=step, metavar="H"))
+        the energy by more than 1e-6 of the largest kinetic energy.""", parse=step, metavar="H"))
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Extent:
     t_end: float | None = option("float", """
         End time.  ``(t_end - t0) / h`` has to be an integer, to a relative 1e-9.  If h is a word,
-        the last step ends exactly at t_end.
-    """, read=arguments.number, parse=float, metavar="T")
+        the last step ends exactly at t_end.""", read=arguments.number, parse=float, metavar="T")
     steps: int | None = option("int", """
         Number of steps, 0 is allowed.  Pass exactly one of t_end and steps; t_end if h is a word.
     """, uses="fixed kept flow series", instead="give t_end instead, because the steps vary",
@@ -322,8 +317,7 @@ class Sampling:
     method: str | None = option('{"rk8pd", "msadams", "rodas", "taylor"}', """
         Method of the reference flow; default "rk8pd".  "taylor" uses Taylor series, which heyoka
         compiles (``pip install heyoka``).  It requires a system from expressions, without events,
-        inputs or journal.
-    """, uses="flow series", choices=METHODS)
+        inputs or journal.""", uses="flow series", choices=METHODS)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -339,8 +333,7 @@ class Inputs:
           ``{tau: -K * x}``.  They are compiled, and evaluated like a controller.
 
         If the constraints depend on inputs, v0 has to satisfy them with the first inputs.  A change
-        of the inputs then moves the velocity into the new D, as an impact does.
-    """, uses=_DRIVEN)
+        of the inputs then moves the velocity into the new D, as an impact does.""", uses=_DRIVEN)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -348,8 +341,7 @@ class Events:
     events: Any = option("sequence", """
         Events: functions ``g(t, q, v)``, expressions, or `Event`.  An event happens when g changes
         sign.  Functions may have the attributes ``terminal``, ``direction``, ``reset`` and
-        ``consistent``.
-    """, default=(), uses=_IN_C, read=lambda value, name: events.take(value))
+        ``consistent``.""", default=(), uses=_IN_C, read=lambda value, name: events.take(value))
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -360,12 +352,10 @@ class Watching:
     progress: Progress = option("bool or callable", """
         True: show a tqdm bar.  A function is called as ``progress(done, total)`` several times a
         second, with numbers of steps, or with times if h is a word.  While h is checked the total
-        includes the repeated steps.
-    """, default=False)
+        includes the repeated steps.""", default=False)
     throw: bool = option("bool", """
         False: if a step fails, return the states so far instead of raising; ``status`` and
-        ``message`` of the Solution have the error.
-    """, default=True)
+        ``message`` of the Solution have the error.""", default=True)
     journal_errors: str | None = option('{"warn", "stop"}', """
         The response if the journal cannot be written, for example on a full disk: continue without
         it and warn (default), or raise `JournalError`.
@@ -384,8 +374,7 @@ class IntegrateOptions(Watching, Events, Inputs, Sampling, Step, Extent, Size, O
     t_eval: ArrayLike | None = option("array_like, shape (N,)", """
         Times at which states are stored, in the order of the run, instead of every stride-th state.
         Steps of the scheme lead to these states: they have its order and lie in the set that it
-        preserves.
-    """, parse=list, metavar="T,T,...")
+        preserves.""", parse=list, metavar="T,T,...")
     journal: str | os.PathLike[str] | None = option("str or path", """
         A new file for the results.  Stored states are written several times a second, and every
         five seconds a snapshot.  After a crash, `load` returns the states in the file, and `resume`
@@ -399,8 +388,7 @@ class StepperOptions(Inputs, Step, Size, Options):
 
     inputs: Any = option("array_like, shape (k,), or mapping", """
         Initial inputs, by default 0; `step` may change them.  If the constraints depend on inputs,
-        v0 has to satisfy them with these.
-    """, uses=_DRIVEN)
+        v0 has to satisfy them with these.""", uses=_DRIVEN)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

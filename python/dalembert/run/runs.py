@@ -12,7 +12,7 @@ from .. import core, geometry, symbolic
 from ..core import Array, arguments, ffi, lib
 from ..core.errors import raised
 from ..core.extras import Show
-from ..core.memory import available_memory
+from ..core.memory import require_memory
 from ..system import System
 from .laws import Law, is_control
 from .scheme import Scheme
@@ -76,7 +76,7 @@ def started_stepper(
         hint = OFF_D if status == lib.DAL_EOFFD else ""
         if hint and system.is_driven:
             hint = of_inputs(system, inputs) + hint
-        core.verify(status, stepper, system.kind, hint=hint, step=0, t=t0)
+        core.check(status, stepper, system.kind, hint=hint, step=0, t=t0)
     return stepper
 
 
@@ -125,7 +125,10 @@ class Run:
         self.watch, self.hold = watch, hold
         self.journal: Any = None
         self.varies = steps.varies
-        self.inputs = None if inputs is None else _input_buffer(system, steps.holds(hold), inputs)
+        self.inputs = None  # the rows that C reads, or that a controller fills
+        if inputs is not None:
+            given = None if is_control(inputs) else inputs
+            self.inputs = arguments.inputs(given, system.inputs, steps.holds(hold))
         self.status = lib.DAL_SUCCESS
         self.error: BaseException | None = None
         self.run = run = ffi.new("dal_run *")
@@ -163,11 +166,7 @@ class Run:
             return
         rows = max(rows, 2 * len(self.x))
         size = 8 * rows * (2 * self.system.n + self.system.m + 1)
-        if size > 2**24 and size > available_memory():
-            raise MemoryError(
-                f"{rows} stored states need {size} bytes, more than this machine has left: "
-                "use a larger stride, or t_eval"
-            )
+        require_memory(size, f"{rows} stored states", "use a larger stride, or t_eval")
         self._allocate(rows, (self.x, self.reactions, self.times))
 
     def _allocate(self, rows: int, stored: Sequence[Array] = ()) -> None:
@@ -372,16 +371,3 @@ def first_inputs(system: System, inputs: Any, holds: int, x0: Array, t0: float) 
     if callable(inputs):
         return _returned_row(inputs(t0, *np.split(x0.copy(), 2)), system.inputs)
     return arguments.inputs(inputs, system.inputs, holds)[0].copy()
-
-
-def _input_buffer(
-    system: System, holds: int, given: Array | Callable[..., Any] | None
-) -> Array | None:
-    """Return the rows of inputs that C reads, or that a controller fills."""
-    if given is None:
-        return None
-    if not is_control(given):
-        return arguments.inputs(given, system.inputs, holds)
-    if not system.inputs:
-        raise ValueError("inputs: the system has no inputs; remove it")
-    return np.zeros((holds, len(system.inputs)))

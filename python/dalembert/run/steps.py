@@ -70,6 +70,17 @@ class Steps:
         """The step size, or its control, in words."""
         return how(self.h, self.control)
 
+    def stride(self, given: int | None) -> int:
+        """Return the stride, default 1; raise ValueError unless it divides the number of steps."""
+        stride, count = 1 if given is None else given, self.count
+        if not self.varies and count % stride:
+            less = count - count % stride
+            raise ValueError(
+                f"steps = {count}: expected a multiple of stride = {stride}, {less} or "
+                f"{less + stride}"
+            )
+        return stride
+
     def hold(self, given: Any, inputs: Any) -> float:
         """Return the number of steps, or the time, for which a row of inputs applies."""
         if not self.varies:

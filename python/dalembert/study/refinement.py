@@ -148,7 +148,7 @@ def _measure(
             lib.dal_order_study, system._handle, scheme, definition, points, order, error
         )
         del kept
-        core.verify(status, error, system.kind)
+        core.check(status, error, system.kind)
         show(total)
     columns = {x: np.array([getattr(point, y) for point in points]) for x, y in COLUMNS.items()}
     return {

@@ -124,52 +124,51 @@ def _new(
 
 @dataclass
 class Functions(Source):
-    """The common part of systems of Python functions and of C functions."""
+    """The common part of systems of Python functions and of C functions.
 
-    given: dict[str, Function | None]
+    The record ``asked`` has checked values; mass, state and sparsity are its arrays.
+    """
+
+    asked: SystemOptions
     mass: Array | None
-    n: int
-    m: int
-    about: dict[str, str]
-    coordinates: list[str]
     state: Array | None
-    invariants: dict[str, Function]
-    steady: bool
-    inputs: list[str]
-    time_dependent: bool
-    positional: bool
     sparsity: sparsity.Sparsity | None
-    driven: bool
+
+    def __post_init__(self) -> None:
+        self.given = {key: vars(self.asked)[key] for key in core.functions.FUNCTIONS}
 
     def named(self) -> dict[str, Function | None]:
-        return self.given | self.invariants
+        return {**self.given, **self.asked.invariants}
 
     def identity(self) -> Any:
+        one = self.asked
         given = sorted(name for name, function in self.named().items() if function is not None)
         mass = None if self.mass is None else self.mass.tolist()
-        numbers = [self.n, self.m, bool(self.steady), self.time_dependent]
+        numbers = [one.n, one.m, one.steady, one.time_dependent]
         entries = self.sparsity and [x.tolist() for x in self.sparsity[:2]]
-        more = [self.positional, entries] if self.positional or entries else []
-        more += ["driven"] * self.driven
-        return ["functions", given, numbers, mass, self.coordinates, self.inputs, *more]
+        more = [one.positional, entries] if one.positional or entries else []
+        more += ["driven"] * one.driven
+        return ["functions", given, numbers, mass, one.coordinates, one.inputs, *more]
 
     def define(
         self, callbacks: dict[str, Any], kind: int, missing: int, ctx: Any, kept: Any
     ) -> Any:
         """Return the C system."""
-        numbers = {"n": self.n, "m": self.m, "kind": kind, "missing": missing}
-        numbers["inputs"] = len(self.inputs)
-        numbers["time_dependent"] = int(self.time_dependent)
-        numbers["positional"] = int(self.positional)
-        given = {**numbers, "steady": int(bool(self.steady)), "ctx": ctx, **callbacks}
-        definition = ffi.new("dal_system_def *", given)
+        one, values = self.asked, vars(self.asked)
+        given = {name: int(values[name]) for name in ("n", "m", *_TRAITS)}
+        given |= {"inputs": len(one.inputs), "kind": kind, "missing": missing, "ctx": ctx}
+        definition = ffi.new("dal_system_def *", given | callbacks)
         if self.sparsity is not None:
             rows, columns, _ = self.sparsity
             addresses = (ffi.from_buffer("size_t[]", x) for x in (rows, columns))
             pattern = ffi.new("dal_sparsity *", [len(rows), *addresses])
             definition.sparsity = pattern
-        names = self.coordinates, self.inputs
-        return _new(definition, *names, self.about, self.mass, self.state, (ctx, kept))
+        about = {key: values[key] for key in (*options_of(About), "formulas")}
+        names = one.coordinates, one.inputs
+        return _new(definition, *names, about, self.mass, self.state, (ctx, kept))
+
+
+_TRAITS = ("steady", "time_dependent", "positional")  # of a dal_system_def
 
 
 class PythonFunctions(Functions):
@@ -178,50 +177,44 @@ class PythonFunctions(Functions):
     calls_python = True
 
     def make(self) -> Made:
-        given, kind = self.given, "linear"
-        if self.m > 0:
-            kind = "affine" if given["affine"] is not None else kind
-            kind = "nonlinear" if given["constraint"] is not None else kind
-        timed = self.time_dependent
+        one, given, kind = self.asked, self.given, "linear"
+        if one.m > 0:
+            kind = "affine" if one.affine is not None else kind
+            kind = "nonlinear" if one.constraint is not None else kind
+        timed = one.time_dependent
         entries = None if self.sparsity is None else len(self.sparsity.rows)
-        callables = core.Callables(self.n, self.m, len(self.inputs), timed, entries, **given)
+        callables = core.Callables(one.n, one.m, len(one.inputs), timed, entries, **given)
         callbacks = {
             key: getattr(lib, f"dal_py_{key}")
             for key in ("lagrangian", "potential", "force", "exact")
             if given[key] is not None
         }
-        if self.m > 0:
-            name = "driven" if self.driven else "constraint"
-            callbacks[name] = getattr(lib, f"dal_py_{'driven_' * self.driven}{kind}")
+        if one.m > 0:
+            name = "driven" if one.driven else "constraint"
+            callbacks[name] = getattr(lib, f"dal_py_{'driven_' * one.driven}{kind}")
         handle = self.define(
-            callbacks, KINDS[kind], core.functions.missing(given, self.m, kind, timed),
+            callbacks, KINDS[kind], core.functions.missing(given, one.m, kind, timed),
             ffi.new_handle(callables), callables,
         )  # fmt: skip
-        return Made(handle, None, self.invariants, given["exact"] is not None)
+        return Made(handle, None, one.invariants, one.exact is not None)
 
 
-@dataclass
 class CFunctions(Functions):
     """A system of C functions."""
 
-    kind: str | None
-    missing: Sequence[str] | None
-    ctx: Any
-
     def make(self) -> Made:
-        compiled = _compiled(self.given, self.driven)
-        kind = arguments.choice("linear" if self.kind is None else self.kind, "kind", KINDS)
+        one, compiled = self.asked, _compiled(self.given, self.asked.driven)
+        kind = arguments.choice("linear" if one.kind is None else one.kind, "kind", KINDS)
         outputs = core.functions.MISSING
-        missing = sum({arguments.choice(x, "missing", outputs) for x in self.missing or ()})
-        context, kept = pointers.context(self.ctx, compiled)
-        names = {"constraint": "driven"} if self.driven else {}
+        missing = sum({arguments.choice(x, "missing", outputs) for x in one.missing or ()})
+        context, kept = pointers.context(one.ctx, compiled)
+        names = {"constraint": "driven"} if one.driven else {}
         callbacks = {
             name: ffi.cast(f"dal_{name}_fn", x.address)
             for key, x in compiled.items() if (name := names.get(key, key))
         }  # fmt: skip
         handle = self.define(callbacks, kind, missing, context, kept)
-        exact = self.given["exact"]
-        return Made(handle, exact, self.invariants, exact is not None)
+        return Made(handle, one.exact, one.invariants, one.exact is not None)
 
 
 def functions(given: SystemOptions) -> Functions:
@@ -244,15 +237,14 @@ def functions(given: SystemOptions) -> Functions:
         if key not in compiled:
             taken = core.functions.taken(key, len(inputs), timed, driven)
             arguments.function(function, key, taken)
-    for_c = {key: values[key] for key in ("kind", "missing", "ctx")}
     if compiled:
         _require_compiled(by_name, compiled, mass, m)
     else:
         _require_parts(by_name, mass, timed)
-        for key, value in for_c.items():
-            if value is not None:
+        for key in ("kind", "missing", "ctx"):
+            if values[key] is not None:
                 raise ValueError(
-                    f"{key} = {arguments.shown(value)}: expected C functions, because Python "
+                    f"{key} = {arguments.shown(values[key])}: expected C functions, because Python "
                     "functions do not use it"
                 )
     arguments.pair(given.q0, given.v0, ("q0", "v0"))
@@ -276,16 +268,13 @@ def functions(given: SystemOptions) -> Functions:
         functions = by_name["forms"], by_name["constraint"]
         last = (np.zeros(len(inputs)),) if driven else ()
         m = _number_of_constraints(*functions, m, size, state, timed, last)
-    about = {key: values[key] for key in options_of(About)}
     lines = arguments.names(given.formulas, "formulas", "several lines")
-    about["formulas"] = "\n".join(lines)
-    own = dict(invariants or {})
-    steady = given.steady
-    common = (
-        by_name, matrix, size, m, about, names, state, own, steady, inputs, timed, positional,
-        pattern, driven,
+    asked = given.having(
+        n=size, m=m, coordinates=names, inputs=inputs, driven=driven, positional=positional,
+        time_dependent=timed, steady=bool(given.steady), invariants=dict(invariants or {}),
+        formulas="\n".join(lines), **dict.fromkeys(("mass", "q0", "v0", "sparsity", "units")),
     )  # fmt: skip
-    return CFunctions(*common, **for_c) if compiled else PythonFunctions(*common)
+    return (CFunctions if compiled else PythonFunctions)(asked, matrix, state, pattern)
 
 
 def _input_names(given: Sequence[str] | int | None, force: Any, driven: bool) -> list[str]:
@@ -356,8 +345,8 @@ class BuiltIn(Source):
         values = np.array(numbers, dtype=float)
         c_names, kept = core.strings(list(self.values))
         c_name = ffi.new("char[]", self.name.encode())
-        new = lib.dal_system_builtin
-        handle = core.adopt("system", new, c_name, c_names, core.pointer(values), len(values))
+        given = c_name, c_names, core.pointer(values), len(values)
+        handle = core.make("system", *given, new=lib.dal_system_builtin)
         del kept
         return Made(handle)
 
@@ -402,11 +391,12 @@ class Expressions(Source):
         if library is None:
             numbers.warn(self.about["name"])
             found = dict.fromkeys(core.functions.FUNCTIONS) | numbers.in_python()
-            names = list(model.coordinates)
-            made = PythonFunctions(
-                found, mass, n, model.m, self.about, names, state, invariants, False,
-                list(model.inputs), model.is_time_dependent, False, None, model.is_driven,
-            ).make()
+            asked = SystemOptions(
+                **found, **self.about, n=n, m=model.m, coordinates=list(model.coordinates),
+                inputs=list(model.inputs), invariants=invariants, driven=model.is_driven,
+                time_dependent=model.is_time_dependent, formulas="",
+            )  # fmt: skip
+            made = PythonFunctions(asked, mass, state, None).make()
         else:
             handle = self._from_library(library, numbers, mass, state, in_c)
             made = Made(handle, None, invariants, None)
@@ -461,9 +451,10 @@ class Deformed(Source):
         missing = lib.DAL_MISSING_PHI_Q if self.g_q is None else 0
         missing |= lib.DAL_MISSING_PHI_T if timed and self.g_t is None else 0
         return Made(
-            core.adopt(
-                "system", lib.dal_system_deform, base._handle, lib.dal_py_deformation, context,
-                self.delta, KINDS[self.kind], missing, owner=(base, callables, context),
+            core.make(
+                "system", base._handle, lib.dal_py_deformation, context, self.delta,
+                KINDS[self.kind], missing, owner=(base, callables, context),
+                new=lib.dal_system_deform,
             )
         )  # fmt: skip
 
@@ -479,8 +470,8 @@ class AtKeptNodes(Source):
         return ["at kept nodes", self.base._identity, self.shift]
 
     def make(self) -> Made:
-        new = lib.dal_system_deform_nodes
-        return Made(core.adopt("system", new, self.base._handle, self.shift, owner=self.base))
+        given, new = (self.base._handle, self.shift), lib.dal_system_deform_nodes
+        return Made(core.make("system", *given, owner=self.base, new=new))
 
 
 # ---- what has to go together ---------------------------------------------------------------------
