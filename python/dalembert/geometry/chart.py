@@ -139,10 +139,15 @@ class Chart(core.Constant):
         v: ArrayLike | None,
         t: ArrayLike,
         *outputs: Any,
+        multipliers: ArrayLike | None = None,
     ) -> Any:
         """Return the outputs of a function for each state, see `Workspaces.rows`."""
         x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
-        return self._charts.rows(function, single, mechanics.times(t, x, single), x, *outputs)
+        given = [mechanics.times(t, x, single), x]
+        if multipliers is not None:
+            m = self.system.m
+            given.append(mechanics.beside(x, single, multipliers, "multipliers", m))
+        return self._charts.rows(function, single, *given, *outputs)
 
     def _of_coordinates(
         self,
@@ -378,7 +383,8 @@ class Chart(core.Constant):
         """
         if multipliers is None:
             multipliers = self.system.multipliers(q, v, t, inputs)
-        return self._frame(lib.dal_chart_multipliers, q, v, multipliers, t)
+        made = lib.dal_chart_multipliers
+        return self._of_states(made, q, v, t, (self.system.m,), multipliers=multipliers)
 
     @_Documented("ValueError, DomainError, SingularError", "ndarray, shape (m,) or (N, m)")
     def multipliers_back(
@@ -400,21 +406,8 @@ class Chart(core.Constant):
         >>> chart.multipliers_back([0, 2, 0], [1, 1, 2], [-6])
         array([3.])
         """
-        return self._frame(lib.dal_chart_multipliers_back, q, v, multipliers, t)
-
-    def _frame(
-        self,
-        function: Callable[..., int],
-        q: ArrayLike,
-        v: ArrayLike,
-        multipliers: ArrayLike,
-        t: ArrayLike,
-    ) -> Array:
-        m = self.system.m
-        x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
-        given = mechanics.beside(x, single, multipliers, "multipliers", m)
-        at = mechanics.times(t, x, single)
-        return self._charts.rows(function, single, at, x, given, (m,))
+        made = lib.dal_chart_multipliers_back
+        return self._of_states(made, q, v, t, (self.system.m,), multipliers=multipliers)
 
     @_Documented("ValueError, DomainError, SingularError, ConvergenceError")
     def step(
