@@ -6,10 +6,8 @@ import dataclasses
 import math
 from typing import Any
 
-import numpy as np
-
 from .. import geometry
-from ..core import Array, extras, residual_bound
+from ..core import extras, residual_bound
 from ..geometry import Check
 from ..run import Scheme, Solution
 from ..system import System
@@ -85,24 +83,18 @@ def _kept(self: Solution) -> str:
     size, where = self.stats.worst_residual, "after every step"
     if math.isnan(size) or self.scheme.is_reference:
         rows = panels.some(self)[int(self.nodes == "kept") :]  # which may start in D
-        size = float(max(_residual(self, rows), default=0.0))
+        state = self.q[rows], self.v[rows], self.shift, self.t[rows]
+        size = float(max(geometry.relative_residual(self.system, *state), default=0.0))
         where = f"at {len(rows)} of {len(self.x)} states"
     bound = residual_bound(self.system.n)
     kept = "kept to roundoff" if size <= bound else "not kept to roundoff"
     return f"{kept}: relative residual at most {number(size)} {where}"
 
 
-def _residual(self: Solution, rows: Any) -> Array:
-    x, n = np.asarray(self.x[rows]), self.system.n
-    return np.asarray(
-        geometry.relative_residual(self.system, x[:, :n], x[:, n:], self.shift, self.t[rows])
-    )
-
-
 def _energy(self: Solution) -> str:
     """Return the energy at the start, and its change until the end, in words."""
-    x, n = np.asarray(self.x[[0, -1]]), self.system.n
-    first, last = geometry.energy(self.system, x[:, :n], x[:, n:], self.t[[0, -1]])
+    ends = [0, -1]
+    first, last = geometry.energy(self.system, self.q[ends], self.v[ends], self.t[ends])
     free = "" if self.system.conserves_energy else ", where it is not conserved"
     unit = panels.unit(self.system, "energy")
     return f"{first:.6g}{unit} at the start, {last - first:+.1e}{unit} at the end{free}"

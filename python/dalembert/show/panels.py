@@ -33,7 +33,10 @@ def equations(system: System) -> web.HTML:
     )))]  # fmt: skip
     for text in system.formulas:
         line = text.removeprefix("where ")
-        rows.append(("where" * (line != text), _formula(line)))
+        whole = f"`{line}`"
+        if len(line) > LONG:
+            whole = f"{line[:LONG]}... ({len(line)} letters in all)"
+        rows.append(("where" * (line != text), whole))
     note = "" if system.formulas else _made_of(system)
     table = Table(["", ""], rows, 2, note=note, style="formulas")
     return web.render("table.html", table=table, coordinates=system.coordinates)
@@ -59,10 +62,6 @@ def _made_of(system: System) -> str:
         f"The system has no formulas, because it is defined by {parts}. Coordinates: {names}; "
         f"constraints: {count}."
     )
-
-
-def _formula(text: str) -> str:
-    return f"`{text}`" if len(text) <= LONG else f"{text[:LONG]}... ({len(text)} letters in all)"
 
 
 def _range(name: str, values: Array, unit: str = "") -> str:

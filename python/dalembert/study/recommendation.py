@@ -380,7 +380,8 @@ def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
     h_max = None
     found, failed = list[Tried](), Tried(name, h, tolerance, 0, math.nan, math.inf)
     for _ in range(ATTEMPTS):
-        given = _options(h, h_max)
+        # Of "auto" only the last state is stored.
+        given = {"stride": 2**40, "h_max": h_max} if h == "auto" else {}
         begin = time.thread_time()
         try:
             run = pilot.run(name, pilot.end, h=step, tolerance=tolerance, **given)
@@ -400,8 +401,3 @@ def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
         factor = MARGIN * accuracy / max(error, 1e-16)
         tolerance = min(max(tolerance * min(max(factor, 1e-3), 1e3), least), most)
     return min([*found, failed], key=lambda one: _rank(one, accuracy))
-
-
-def _options(h: Any, h_max: float | None) -> dict[str, Any]:
-    """Return the options of "auto": only the last state is stored."""
-    return {"stride": 2**40, "h_max": h_max} if h == "auto" else {}
