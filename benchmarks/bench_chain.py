@@ -47,7 +47,7 @@ def skates(count: int) -> tuple[dal.System, np.ndarray, np.ndarray]:
         return result.ravel()
 
     system = dal.System(
-        mass=np.ones(3 * count), forms=forms, forms_velocity_derivative=derivative,
+        mass=np.ones(3 * count), mu=forms, mu_v_q=derivative,
         potential=lambda q: float(np.sum((springs(q)[1] - 1) ** 2) / 2), gradient=gradient,
         sparsity=(np.repeat(np.arange(count), 3), own.ravel()),
     )  # fmt: skip

@@ -57,8 +57,8 @@ def python_callables() -> bool:
     """Step a system whose functions are Python and return arrays."""
     own = dal.System(
         mass=[1.0, 1.0, 1.0],
-        forms=lambda q: np.array([[-q[1], 0.0, 1.0]]),
-        forms_velocity_derivative=lambda q, v: np.array([[0.0, -v[0], 0.0]]),
+        mu=lambda q: np.array([[-q[1], 0.0, 1.0]]),
+        mu_v_q=lambda q, v: np.array([[0.0, -v[0], 0.0]]),
         q0=[0.5, 0.3, -0.2],
         v0=[1.0, 0.7, 0.3],
     )

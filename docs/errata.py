@@ -174,8 +174,8 @@ def four(with_potential: bool = True) -> dal.System:
     free = np.array([1.0, -0.6])
     return dal.System(
         mass=MASS,
-        forms=forms,
-        forms_velocity_derivative=bending,
+        mu=forms,
+        mu_v_q=bending,
         potential=potential if with_potential else None,
         gradient=gradient if with_potential else None,
         name="four",
@@ -284,7 +284,7 @@ def perturbed_particle(h: float, printed: bool) -> Callable[[Any], Any]:
 
 @point("E13", "proof of lemma lemmaC")
 def gram_matrix() -> Rows:
-    flat = dal.System(mass=1.0, n=3, forms=lambda q: [[1, 0, 0], [0, 1, 0]])
+    flat = dal.System(mass=1.0, n=3, mu=lambda q: [[1, 0, 0], [0, 1, 0]])
     C = flat.gram([0, 0, 0])
     yield nonzero(
         "mu = first two unit vectors: least |<mu^a, Z^b>|, least eigenvalue of C",

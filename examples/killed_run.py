@@ -41,7 +41,7 @@ def force(t, q, v, u):
 
 
 robot = dal.System(
-    mass=[8.0, 8.0, 0.3], forms=forms, forms_velocity_derivative=turning, force=force,
+    mass=[8.0, 8.0, 0.3], mu=forms, mu_v_q=turning, force=force,
     inputs=["push", "turn"], coordinates=["x", "y", "theta"], name="robot", q0=[0, 0, -1.27],
     v0=[0, 0, 0],
 )  # fmt: skip

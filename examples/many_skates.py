@@ -26,7 +26,7 @@ import dalembert as dal
 # %%
 # The skates, and the entries of mu
 # ---------------------------------
-# Row k of mu has entries in the three columns of skate k.  ``SPARSITY`` lists them, and ``forms``
+# Row k of mu has entries in the three columns of skate k.  ``SPARSITY`` lists them, and ``mu``
 # and the derivative of mu v return only these entries, in the same order.
 
 COUNT = 1000
@@ -39,7 +39,7 @@ def forms(q):
     return np.stack([-np.sin(heading), np.cos(heading), 0 * heading], axis=1).ravel()
 
 
-def forms_velocity_derivative(q, v):
+def mu_v_q(q, v):
     heading, (x, y) = q[OWN[:, 2]], v[OWN[:, :2]].T
     turn = -np.cos(heading) * x - np.sin(heading) * y
     return np.stack([0 * turn, 0 * turn, turn], axis=1).ravel()
@@ -69,8 +69,8 @@ def gradient(q):
 
 skates = dal.System(
     mass=np.ones(3 * COUNT),
-    forms=forms,
-    forms_velocity_derivative=forms_velocity_derivative,
+    mu=forms,
+    mu_v_q=mu_v_q,
     potential=potential,
     gradient=gradient,
     sparsity=SPARSITY,

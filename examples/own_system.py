@@ -44,7 +44,7 @@ def forms(q):
     return [[-s, c, 0, 0, 0], [c, s, -b, -R, 0], [c, s, b, 0, -R]]
 
 
-def forms_velocity_derivative(q, v):
+def mu_v_q(q, v):
     """Return d(mu v)/dq, which contains only the heading."""
     s, c = sin(q[2]), cos(q[2])
     sideways, along = -c * v[0] - s * v[1], -s * v[0] + c * v[1]
@@ -59,8 +59,8 @@ def forms_velocity_derivative(q, v):
 
 cart = dal.System(
     mass=[m, m, J, I, I],
-    forms=forms,
-    forms_velocity_derivative=forms_velocity_derivative,
+    mu=forms,
+    mu_v_q=mu_v_q,
     potential=lambda q: -m * g * q[0],
     gradient=lambda q: [-m * g, 0, 0, 0, 0],
     hessian=lambda q: [[0] * 5] * 5,

@@ -332,8 +332,8 @@ class Mechanism:
             given["constraint_v"] = lambda t, q, v: self.mu(q, v, t)
             given["constraint_q"] = lambda t, q, v: phi.at(self.z(q, v, t)).jacobian()[:, :n]
         elif self.m:
-            given["forms"] = lambda t, q: self.mu(q, zero, t)
-            given["forms_velocity_derivative"] = lambda t, q, v: (
+            given["mu"] = lambda t, q: self.mu(q, zero, t)
+            given["mu_v_q"] = lambda t, q, v: (
                 phi.at(self.z(q, v, t)).jacobian()[:, :n] - affine_q(t, q)
             )
             if self.kind == "affine":

@@ -66,13 +66,13 @@ class Own:
         H[0, 3] = H[3, 0] = q[0] * q[3]
         return H
 
-    def forms(self, q):
+    def mu(self, q):
         self.calls += 1
         return np.array(
             [[-np.sin(q[2]), np.cos(q[2]), 0.3 * q[3], 0.0], [q[1], 0.0, 1.0, np.cos(q[0])]]
         )
 
-    def forms_velocity_derivative(self, q, v):
+    def mu_v_q(self, q, v):
         return np.array(
             [
                 [0.0, 0.0, -np.cos(q[2]) * v[0] - np.sin(q[2]) * v[1], 0.3 * v[2]],
@@ -84,8 +84,8 @@ class Own:
         """Return it as a System, with some arguments changed."""
         arguments = {
             "mass": self.mass,
-            "forms": self.forms,
-            "forms_velocity_derivative": self.forms_velocity_derivative,
+            "mu": self.mu,
+            "mu_v_q": self.mu_v_q,
             "potential": self.potential,
             "gradient": self.gradient,
             "hessian": self.hessian,
@@ -104,37 +104,37 @@ class Own:
 
     def project(self, q, v):
         """v - M^-1 mu^T C^-1 mu v."""
-        mu = self.forms(q)
+        mu = self.mu(q)
         Z = np.linalg.solve(self.mass, mu.T)
         return v - Z @ np.linalg.solve(mu @ Z, mu @ v)
 
     def acceleration(self, q, v):
         """vdot and lambda from the saddle point system [[M, -mu^T], [mu, 0]]."""
-        mu = self.forms(q)
+        mu = self.mu(q)
         A = np.block([[self.mass, -mu.T], [mu, np.zeros((2, 2))]])
-        b = np.concatenate([-self.gradient(q), -self.forms_velocity_derivative(q, v) @ v])
+        b = np.concatenate([-self.gradient(q), -self.mu_v_q(q, v) @ v])
         x = np.linalg.solve(A, b)
         return x[:4], x[4:]
 
     def beta_step(self, beta, h, q, v):
         """One step of the beta-scheme by Newton on all n + m unknowns: q, v and lambda."""
         qk = q + (1 - beta) * h * v
-        muk, g0 = self.forms(qk), self.gradient(q)
+        muk, g0 = self.mu(qk), self.gradient(q)
         w, kappa = v.copy(), np.zeros(2)
         for _ in range(12):
             q1 = qk + beta * h * w
-            mu = self.forms(q1)
+            mu = self.mu(q1)
             kick = h * ((1 - beta) * self.gradient(q1) + beta * g0)
             R = np.concatenate([self.mass @ (w - v) + kick - muk.T @ kappa, mu @ w])
             K = self.mass + h**2 * beta * (1 - beta) * self.hessian(q1)
-            B = mu + beta * h * self.forms_velocity_derivative(q1, w)
+            B = mu + beta * h * self.mu_v_q(q1, w)
             d = np.linalg.solve(np.block([[K, -muk.T], [B, np.zeros((2, 2))]]), -R)
             w, kappa = w + d[:4], kappa + d[4:]
         return qk + beta * h * w, w, kappa / h
 
     def residual(self, q, v):
         """See `relative_residual`."""
-        return relative_residual(self.mass, self.forms(q), v)
+        return relative_residual(self.mass, self.mu(q), v)
 
 
 @pytest.fixture
@@ -223,8 +223,8 @@ def particle_in_python():
     """The particle with Python functions; its runs have the bits of the built-in one."""
     return dal.System(
         mass=[1, 1, 1],
-        forms=particle_forms,
-        forms_velocity_derivative=particle_derivative,
+        mu=particle_forms,
+        mu_v_q=particle_derivative,
         coordinates=["x", "y", "z"],
         q0=[0.5, 0.3, -0.2],
         v0=[1, 0.7, 0.3],
@@ -247,8 +247,8 @@ class General:
     )  # fmt: skip
     forces = ("force", "force_q", "force_v")
     constraints = {
-        "linear": ("forms", "forms_velocity_derivative"),
-        "affine": ("forms", "forms_velocity_derivative", "affine", "affine_derivative"),
+        "linear": ("mu", "mu_v_q"),
+        "affine": ("mu", "mu_v_q", "affine", "affine_derivative"),
         "nonlinear": ("constraint", "constraint_v", "constraint_q"),
     }
 
@@ -336,10 +336,10 @@ class General:
         s = np.sin(z)
         return np.array([[0.0, -x, 0.0], [0.0, -(v**2), 0.0], [-w * s, 0.0, -u * s]])
 
-    def forms(self, q):
+    def mu(self, q):
         return np.array([[-np.sin(q[1]), -q[0], 1.0]])
 
-    def forms_velocity_derivative(self, q, qdot):
+    def mu_v_q(self, q, qdot):
         return np.array([[-qdot[1], -np.cos(q[1]) * qdot[0], 0.0]])
 
     def affine(self, q):
@@ -367,16 +367,16 @@ class General:
     def phi(self, q, v):
         if self.kind == "nonlinear":
             return self.constraint(q, v)
-        return self.forms(q) @ v + (self.affine(q) if self.kind == "affine" else 0.0)
+        return self.mu(q) @ v + (self.affine(q) if self.kind == "affine" else 0.0)
 
     def phi_v(self, q, v):
-        return self.constraint_v(q, v) if self.kind == "nonlinear" else self.forms(q)
+        return self.constraint_v(q, v) if self.kind == "nonlinear" else self.mu(q)
 
     def phi_q(self, q, v):
         if self.kind == "nonlinear":
             return self.constraint_q(q, v)
         shift = self.affine_derivative(q) if self.kind == "affine" else 0.0
-        return self.forms_velocity_derivative(q, v) + shift
+        return self.mu_v_q(q, v) + shift
 
     def energy(self, q, v):
         return self.lagrangian_v(q, v) @ v - self.lagrangian(q, v)

@@ -297,7 +297,7 @@ MODEL = """
 import dalembert as dal
 
 def make():
-    return dal.System(mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], q0=[0, 1, 0], v0=[1, 1, 1])
+    return dal.System(mass=[1, 1, 1], mu=lambda q: [[-q[1], 0, 1]], q0=[0, 1, 0], v0=[1, 1, 1])
 
 system = make()
 number = 3

@@ -152,15 +152,15 @@ def _define_forms(kind: str, driven: bool) -> None:
         if phi or phi_q or phi_t:
             velocity = _frombuffer(_buffer(v, call.bytes)[:])
         if phi or phi_v:
-            forms = _doubles(call.forms(*point, *last), call.matrix, "forms")
+            mu = _doubles(call.mu(*point, *last), call.matrix, "mu")
             if phi_v:
-                _memmove(phi_v, forms, forms.nbytes)
+                _memmove(phi_v, mu, mu.nbytes)
             if phi:
                 shift = _doubles(call.affine(*point, *last), call.multipliers, "affine")
-                _write(phi, forms @ velocity + shift, call.multipliers, "affine")
+                _write(phi, mu @ velocity + shift, call.multipliers, "affine")
         if phi_q:
-            name = "forms_velocity_derivative"
-            found = call.forms_velocity_derivative(*point, velocity, *last)
+            name = "mu_v_q"
+            found = call.mu_v_q(*point, velocity, *last)
             slope = _doubles(found, call.matrix, name)
             if is_affine:
                 found = call.affine_derivative(*point, *last)

@@ -29,11 +29,11 @@ OUTPUTS = {
         f"L{x}": f"lagrangian{x}" for x in ("", "_q", "_v", "_qq", "_vq", "_vv", "_vt")
     },
     "force": {f"f{x}": f"force{x}" for x in ("", "_q", "_v")},
-    "linear": {"phi_v": "forms", "phi_q": "forms_velocity_derivative", "phi_t": "constraint_t"},
+    "linear": {"phi_v": "mu", "phi_q": "mu_v_q", "phi_t": "constraint_t"},
     "affine": {
-        "phi": "(forms v + affine)",
-        "phi_v": "forms",
-        "phi_q": "(forms_velocity_derivative + affine_derivative)",
+        "phi": "(mu v + affine)",
+        "phi_v": "mu",
+        "phi_q": "(mu_v_q + affine_derivative)",
         "phi_t": "constraint_t",
     },
     "nonlinear": {f"phi{x}": f"constraint{x}" for x in ("", "_v", "_q", "_t")},
@@ -42,8 +42,8 @@ OUTPUTS = {
 
 # What each function takes.
 FUNCTIONS = {
-    "forms": "q",
-    "forms_velocity_derivative": "q, v",
+    "mu": "q",
+    "mu_v_q": "q, v",
     "affine": "q",
     "affine_derivative": "q",
     **dict.fromkeys(OUTPUTS["nonlinear"].values(), "q, v"),
@@ -59,7 +59,7 @@ OF_TIME = ("constraint_t", "lagrangian_vt")
 
 def is_of_constraint(name: str) -> bool:
     """Return whether a function is the constraint, or one of its derivatives."""
-    return name.startswith(("forms", "affine", "constraint"))
+    return name.startswith(("mu", "affine", "constraint"))
 
 
 def taken(name: str, inputs: int = 0, timed: bool = False, driven: bool = False) -> str:

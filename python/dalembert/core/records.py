@@ -10,9 +10,10 @@ import dataclasses
 import functools
 import inspect
 import textwrap
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass
-from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+from typing import Any, ClassVar, Concatenate, ParamSpec, Self, TypeVar
 
 from . import arguments
 
@@ -142,11 +143,26 @@ def parameters_text(record: Any) -> str:
 
 
 class Record:
-    """The common part of all records."""
+    """The common part of all records.
+
+    Attributes
+    ----------
+    renamed : mapping of str to str
+        Former names of options, which give a DeprecationWarning, and their names.
+    """
+
+    renamed: ClassVar[Mapping[str, str]] = {}
 
     @classmethod
     def of(cls, name: str, args: tuple[Any, ...], given: dict[str, Any]) -> Self:
         """Return the record of the arguments of a call of the function ``name``."""
+        for old in sorted(given.keys() & cls.renamed.keys()):
+            new = cls.renamed[old]
+            warnings.warn(
+                f"{name}({old}=...) is deprecated: write {new}=", DeprecationWarning, stacklevel=3
+            )
+            if new not in given:
+                given[new] = given.pop(old)
         try:
             return cls(*args, **given)
         except TypeError:

@@ -91,7 +91,7 @@ class Check:
     f_q, f_v : Difference
         force_q and force_v.
     phi_v, phi_q, phi_t : Difference
-        The derivatives of the constraints: phi_v is forms or constraint_v; phi_q is d(mu v)/dq or
+        The derivatives of the constraints: phi_v is mu or constraint_v; phi_q is d(mu v)/dq or
         constraint_q; phi_t is constraint_t.
     linearity : float
         Worst change of mu with v; 0 unless the constraints are nonlinear.

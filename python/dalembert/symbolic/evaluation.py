@@ -100,7 +100,7 @@ class Evaluation:
             slope, at = made["phi_q"], -2 if model.is_driven else -1  # the place of v
             found["affine"] = called("affine", "phi")
             found["affine_derivative"] = called("affine_derivative", "phi_q")
-            found["forms_velocity_derivative"] = lambda *point: np.reshape(
+            found["mu_v_q"] = lambda *point: np.reshape(
                 np.subtract(
                     slope(*point, p),
                     slope(*point[:at], np.zeros(n), *point[len(point) + at + 1 :], p),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from numpy.typing import ArrayLike
 
@@ -45,34 +45,34 @@ class Lagrangian:
 class Constraints:
     """Options: the constraints."""
 
-    forms: OfPoint | None = option("callable", """
-        ``forms(q) -> (m, n)``: mu(q), one row for each constraint.  If neither ``forms`` nor
+    mu: OfPoint | None = option("callable", """
+        ``mu(q) -> (m, n)``: mu(q), one row for each constraint.  If neither ``mu`` nor
         ``constraint`` is given, the system has no constraints.""")
-    forms_velocity_derivative: OfState | None = option("callable", """
-        ``forms_velocity_derivative(q, v) -> (m, n)``: entry [a, j] is d(mu^a(q) v)/dq_j.""")
+    mu_v_q: OfState | None = option("callable", """
+        ``mu_v_q(q, v) -> (m, n)``: entry [a, j] is d(mu^a(q) v)/dq_j.""")
     affine: OfPoint | None = option("callable")
     affine_derivative: OfPoint | None = option("callable", """
         ``affine(q) -> (m,)``: a(q), so that the constraints are mu(q) v + a(q) = 0;
         ``affine_derivative(q) -> (m, n)``: entry [a, j] is da^a/dq_j.  Pass both
-        ``affine_derivative`` and ``forms_velocity_derivative``, or neither.""")
+        ``affine_derivative`` and ``mu_v_q``, or neither.""")
     constraint: OfState | None = option("callable")
     constraint_v: OfState | None = option("callable")
     constraint_q: OfState | None = option("callable", """
-        Nonlinear constraints, instead of ``forms``.  ``constraint(q, v) -> (m,)``: phi;
+        Nonlinear constraints, instead of ``mu``.  ``constraint(q, v) -> (m,)``: phi;
         ``constraint_v(q, v) -> (m, n)``: dphi^a/dv_i, required, of rank m along the motion;
         ``constraint_q(q, v) -> (m, n)``: dphi^a/dq_j.""")
     steady: bool = option("bool", """
         Whether mu depends only on coordinates on which no constraint force acts, such as the
         heading of a blade.  Row i of M^-1 mu^T is zero for such a coordinate i.  Requires ``mass``
-        and ``forms``.  The steps are then linear, without iteration.  A step at which the
+        and ``mu``.  The steps are then linear, without iteration.  A step at which the
         declaration proves false raises an error.""", default=False)
     sparsity: Any = option("array_like or sparse array, shape (m, n), or tuple (rows, columns)", """
         The entries that may be nonzero in mu or in d(mu v)/dq, sorted by row and then by column.
-        ``forms`` and ``forms_velocity_derivative`` then return an array of these entries alone.
+        ``mu`` and ``mu_v_q`` then return an array of these entries alone.
         See Notes.""")
     time_dependent: bool = option("bool", """
         Whether the constraints or the Lagrangian depend on time.  If so, all functions, invariants
-        included, take t as an additional first argument: ``forms(t, q)``, ``constraint(t, q, v)``.
+        included, take t as an additional first argument: ``mu(t, q)``, ``constraint(t, q, v)``.
     """, default=False)
     constraint_t: OfTime | None = option("callable", """
         ``constraint_t(t, q, v) -> (m,)``: dphi^a/dt, which is d(mu^a(t, q) v)/dt for linear
@@ -94,9 +94,9 @@ class Forces:
         torques do; see `dalembert.integrate` and `dalembert.Stepper`.  Functions that accept no
         inputs, such as order studies, use zeros.""")
     driven: bool = option("bool", """
-        Whether the constraints depend on the inputs, as v - u = 0 does.  If so, ``forms``,
+        Whether the constraints depend on the inputs, as v - u = 0 does.  If so, ``mu``,
         ``affine``, ``constraint`` and their derivatives take u as an additional last argument:
-        ``forms(q, u)``, ``constraint(q, v, u)``.""", default=False)
+        ``mu(q, u)``, ``constraint(q, v, u)``.""", default=False)
     positional: bool = option("bool", """
         Whether the force depends on t, q and its inputs alone.  Steps then treat it like the
         gradient of a potential, which is faster, and pass NaN for v.""", default=False)
@@ -122,7 +122,7 @@ class Names:
         Number of coordinates; required if neither ``mass``, ``coordinates`` nor ``q0`` determines
         it.""")
     m: int | None = option("int", """
-        Number of constraints.  Default: the number of rows that ``forms`` returns at ``q0`` or at
+        Number of constraints.  Default: the number of rows that ``mu`` returns at ``q0`` or at
         0.  With ``constraint``, the number of values at (q0, v0), or at q = 0, v = (1, ..., 1).""")
     formulas: Sequence[str] = option("sequence of str", """
         "L = ...", the constraints "... = 0", and "where NAME = ..." for each other symbol in these
@@ -167,6 +167,8 @@ class InC:
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class SystemOptions(InC, Motion, Names, About, Forces, Constraints, Lagrangian, Record):
     """The arguments of `System`, which are functions."""
+
+    renamed: ClassVar = {"forms": "mu", "forms_velocity_derivative": "mu_v_q"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -41,8 +41,8 @@ _NEEDS = {
     ),
     "force_q": "force(t, q, v) -> f",
     "force_v": "force(t, q, v) -> f",
-    "forms_velocity_derivative": "forms(q) -> mu",
-    "affine": "forms(q) -> mu",
+    "mu_v_q": "mu(q)",
+    "affine": "mu(q)",
     "affine_derivative": "affine(q) -> a",
     "constraint": "constraint_v(q, v) -> dphi/dv",
     "constraint_v": "constraint(q, v) -> phi",
@@ -228,7 +228,7 @@ def functions(given: SystemOptions) -> Functions:
     inputs = _input_names(given.inputs, by_name["force"], driven)
     if driven and not inputs:
         raise ValueError("driven = True: expected inputs= as well, on which the constraints depend")
-    if driven and by_name["forms"] is None and by_name["constraint"] is None:
+    if driven and by_name["mu"] is None and by_name["constraint"] is None:
         raise ValueError("driven = True: expected constraints")
     timed = bool(given.time_dependent)
     for key, function in {**by_name, **(invariants or {})}.items():
@@ -265,7 +265,7 @@ def functions(given: SystemOptions) -> Functions:
     if compiled:
         m = arguments.integer(0 if m is None else m, "m", 0)
     else:
-        functions = by_name["forms"], by_name["constraint"]
+        functions = by_name["mu"], by_name["constraint"]
         last = (np.zeros(len(inputs)),) if driven else ()
         m = _number_of_constraints(*functions, m, size, state, timed, last)
     lines = arguments.names(given.formulas, "formulas", "several lines")
@@ -494,7 +494,7 @@ def _require_parts(functions: dict[str, Function | None], mass: Any, timed: bool
     for one, other in (
         ("mass", "lagrangian"),
         ("potential", "lagrangian"),
-        ("forms", "constraint"),
+        ("mu", "constraint"),
     ):
         if one in given and other in given:
             raise ValueError(f"{one} and {other} are both given: expected one of the two")
@@ -504,14 +504,14 @@ def _require_parts(functions: dict[str, Function | None], mass: Any, timed: bool
         if key in given and not given.issuperset(names):
             needed = re.sub(r"\((?!t)", "(t, ", needed) if timed else needed
             raise ValueError(f"{key} is given without {needed}")
-    if "constraint_t" in given and not given & {"forms", "constraint"}:
-        raise ValueError("constraint_t is given without forms or constraint")
+    if "constraint_t" in given and not given & {"mu", "constraint"}:
+        raise ValueError("constraint_t is given without mu or constraint")
     if not given & {"mass", "lagrangian"}:
         raise ValueError("mass is missing: expected a mass or a lagrangian")
-    derivatives = given & {"forms_velocity_derivative", "affine_derivative"}
+    derivatives = given & {"mu_v_q", "affine_derivative"}
     if "affine" in given and len(derivatives) == 1:
         raise ValueError(
-            f"{derivatives.pop()} is given alone: expected both forms_velocity_derivative and "
+            f"{derivatives.pop()} is given alone: expected both mu_v_q and "
             "affine_derivative, or neither"
         )
 
@@ -560,14 +560,14 @@ def _require_linear(functions: dict[str, Function | None], compiled: bool) -> No
     for key in ("affine", "constraint"):
         if functions[key] is not None:
             raise ValueError(
-                f"sparsity is given with {key}: expected linear constraints, given by forms only"
+                f"sparsity is given with {key}: expected linear constraints, given by mu only"
             )
-    if functions["forms"] is None:
-        raise ValueError("sparsity is given without forms")
+    if functions["mu"] is None:
+        raise ValueError("sparsity is given without mu")
 
 
 def _number_of_constraints(
-    forms: OfPoint | None,
+    mu: OfPoint | None,
     constraint: OfState | None,
     m: int | None,
     n: int,
@@ -575,10 +575,10 @@ def _number_of_constraints(
     timed: bool,
     inputs: tuple[Array, ...],
 ) -> int:
-    """Return m as given, or the number of rows from ``forms`` or ``constraint`` at time 0."""
-    if forms is None and constraint is None:
+    """Return m as given, or the number of rows from ``mu`` or ``constraint`` at time 0."""
+    if mu is None and constraint is None:
         if m:
-            raise ValueError(f"m = {m}: expected forms or constraint as well")
+            raise ValueError(f"m = {m}: expected mu or constraint as well")
         return 0
     if m is not None:
         return arguments.integer(m, "m", 0)
@@ -591,10 +591,10 @@ def _number_of_constraints(
             raise ValueError(
                 f"constraint returned {shape}: expected shape (m,), one number for each constraint"
             )
-    elif forms is not None:
-        shape = arguments.shape(forms(*time, point[:n], *inputs))
+    elif mu is not None:
+        shape = arguments.shape(mu(*time, point[:n], *inputs))
         if len(shape) != 2 or shape[1] != n:
             raise ValueError(
-                f"forms returned {shape}: expected shape (m, {n}), one row for each constraint"
+                f"mu returned {shape}: expected shape (m, {n}), one row for each constraint"
             )
     return arguments.integer(shape[0], "m", 0)

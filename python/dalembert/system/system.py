@@ -86,8 +86,9 @@ class System(Handle):
     or the derivatives of the constraints by q or t, accelerations and multipliers are accurate to
     about 1e-12.  Without any other derivative only Newton's iteration is slower.
 
-    The fastest step routine integrates systems of constant mass with linear constraints and without
-    force.  All other systems need Newton's iteration for n + m unknowns.
+    Steps are fastest for constant mass, linear constraints and no force that depends on v.  All
+    other systems are integrated by the form of the step routine in momenta.  A step that does not
+    converge is repeated by Newton's iteration for all n + m unknowns.
 
     With a ``sparsity``, the time and memory of a step are proportional to n.  This requires masses
     instead of a matrix, and few coordinates in each constraint.  The Hessian of V and the
@@ -117,8 +118,8 @@ class System(Handle):
     >>> import dalembert as dal
     >>> own = dal.System(
     ...     mass=[1, 1, 1],
-    ...     forms=lambda q: [[-q[1], 0, 1]],
-    ...     forms_velocity_derivative=lambda q, v: [[0, -v[0], 0]],
+    ...     mu=lambda q: [[-q[1], 0, 1]],
+    ...     mu_v_q=lambda q, v: [[0, -v[0], 0]],
     ...     coordinates=["x", "y", "z"],
     ... )
     >>> own.multipliers([0, 1, 0], [1, 1, 1])
@@ -128,7 +129,7 @@ class System(Handle):
 
     >>> belt = dal.System(
     ...     mass=[1, 1, 1],
-    ...     forms=lambda q: [[-q[1], 0, 1]],
+    ...     mu=lambda q: [[-q[1], 0, 1]],
     ...     affine=lambda q: [-2],
     ...     force=lambda t, q, v: -v / 10,
     ...     coordinates=["x", "y", "z"],
@@ -157,7 +158,7 @@ class System(Handle):
     >>> sin, cos = np.sin, np.cos
     >>> turned = dal.System(
     ...     mass=[1, 1],
-    ...     forms=lambda t, q: [[sin(2 * t), -cos(2 * t)]],
+    ...     mu=lambda t, q: [[sin(2 * t), -cos(2 * t)]],
     ...     constraint_t=lambda t, q, v: [2 * cos(2 * t) * v[0] + 2 * sin(2 * t) * v[1]],
     ...     coordinates=["x", "y"],
     ...     time_dependent=True,
@@ -804,7 +805,7 @@ class System(Handle):
         Raises
         ------
         ValueError
-            If the shift is not finite, or the system lacks ``forms_velocity_derivative``
+            If the shift is not finite, or the system lacks ``mu_v_q``
             (``constraint_q`` if the constraints are nonlinear).
         NotImplementedError
             If m n > 4000.
@@ -820,7 +821,7 @@ class System(Handle):
         """
         shift = arguments.number(shift, "shift")
         if lib.dal_system_missing(self._handle) & lib.DAL_MISSING_PHI_Q:
-            needed = "constraint_q" if self.kind == "nonlinear" else "forms_velocity_derivative"
+            needed = "constraint_q" if self.kind == "nonlinear" else "mu_v_q"
             raise ValueError(f"{needed} is missing: the system {self.name!r} does not provide it")
         return type(self)._of(sources.AtKeptNodes(self, shift), self._units)
 

@@ -17,7 +17,7 @@ from dalembert.core import arguments
 from dalembert.geometry import examine
 
 H = 0.05
-FUNCTIONS = ["forms", "forms_velocity_derivative", "potential", "gradient", "hessian"]
+FUNCTIONS = ["mu", "mu_v_q", "potential", "gradient", "hessian"]
 
 
 class Mine(Exception):
@@ -90,8 +90,8 @@ def unaligned(a):
 def test_anything_array_like_may_be_returned(own, kind):
     expected = dal.integrate(own.system(), "midpoint", h=H, steps=5)
     changes = {
-        "forms": lambda q: kind(own.forms(q)),
-        "forms_velocity_derivative": lambda q, v: kind(own.forms_velocity_derivative(q, v)),
+        "mu": lambda q: kind(own.mu(q)),
+        "mu_v_q": lambda q, v: kind(own.mu_v_q(q, v)),
         "gradient": lambda q: kind(own.gradient(q)),
         "hessian": lambda q: kind(own.hessian(q)),
     }
@@ -149,13 +149,13 @@ def test_potential_may_be_any_number(value):
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("forms", np.ones(4), r"forms returned shape \(4,\): expected \(2, 4\)"),
-        ("forms", np.ones((4, 2)), r"forms returned shape \(4, 2\): expected \(2, 4\)"),
-        ("forms", None, r"forms returned no real numbers .* shape \(2, 4\)"),
-        ("forms", [[1, 2], [3]], "forms returned no real numbers"),
-        ("forms", "text", "forms returned no real numbers"),
-        ("forms", 1j * np.ones((2, 4)), "forms returned no real numbers .*complex"),
-        ("forms_velocity_derivative", np.ones((2, 3)), r"velocity_derivative .*\(2, 3\)"),
+        ("mu", np.ones(4), r"mu returned shape \(4,\): expected \(2, 4\)"),
+        ("mu", np.ones((4, 2)), r"mu returned shape \(4, 2\): expected \(2, 4\)"),
+        ("mu", None, r"mu returned no real numbers .* shape \(2, 4\)"),
+        ("mu", [[1, 2], [3]], "mu returned no real numbers"),
+        ("mu", "text", "mu returned no real numbers"),
+        ("mu", 1j * np.ones((2, 4)), "mu returned no real numbers .*complex"),
+        ("mu_v_q", np.ones((2, 3)), r"mu_v_q .*\(2, 3\)"),
         ("gradient", np.ones((4, 1)), r"gradient returned shape \(4, 1\): expected \(4,\)"),
         ("gradient", 0.0, r"gradient returned shape \(\): expected \(4,\)"),
         ("hessian", np.ones(4), r"hessian returned shape \(4,\): expected \(4, 4\)"),
@@ -192,12 +192,12 @@ def test_exceptions_come_back_as_themselves(own, name, error):
 @pytest.mark.parametrize("scheme", ["midpoint", "leapfrog", "reference", "midpoint-suzuki4"])
 def test_every_call_of_a_run_may_fail(own, scheme):
     steps = 4
-    counting = failing(own.forms, -1, None)
-    whole = dal.integrate(own.system(forms=counting, m=2), scheme, h=H, steps=steps)
+    counting = failing(own.mu, -1, None)
+    whole = dal.integrate(own.system(mu=counting, m=2), scheme, h=H, steps=steps)
     rows = []
     for k in range(counting.calls()):
         error = Mine(k)
-        system = own.system(forms=failing(own.forms, k, error), m=2)
+        system = own.system(mu=failing(own.mu, k, error), m=2)
         with pytest.raises(Mine) as caught:
             dal.integrate(system, scheme, h=H, steps=steps)
         assert caught.value is error
@@ -214,25 +214,25 @@ def test_every_call_of_a_run_may_fail(own, scheme):
 
 def test_a_study_does_not_swallow_exceptions(own):
     """To the core a run that fails is a point of the study; an exception of the user is not."""
-    counting = failing(own.forms, -1, None)
-    dal.convergence(own.system(forms=counting, m=2), "midpoint", t_end=0.5)
+    counting = failing(own.mu, -1, None)
+    dal.convergence(own.system(mu=counting, m=2), "midpoint", t_end=0.5)
     for k in np.linspace(0, counting.calls() - 1, 12, dtype=int):
         error = Mine(k)
-        system = own.system(forms=failing(own.forms, k, error), m=2)
+        system = own.system(mu=failing(own.mu, k, error), m=2)
         with pytest.raises(Mine) as caught:
             dal.convergence(system, "midpoint", t_end=0.5)
         assert caught.value is error
 
 
 def test_a_run_goes_through_after_a_failure(own):
-    system = own.system(forms=failing(own.forms, 7, Mine()), m=2)
+    system = own.system(mu=failing(own.mu, 7, Mine()), m=2)
     with pytest.raises(Mine):
         dal.integrate(system, "midpoint", h=H, steps=10)
     run = dal.integrate(system, "midpoint", h=H, steps=10)
     np.testing.assert_array_equal(run.x, dal.integrate(own.system(), "midpoint", h=H, steps=10).x)
 
 
-@pytest.mark.parametrize("name", ["forms", "gradient"])
+@pytest.mark.parametrize("name", ["mu", "gradient"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_nan_is_a_domain_error(own, name, value):
     function, count = getattr(own, name), 0
@@ -256,9 +256,9 @@ def test_domain_error_of_the_user(own):
     def forms(q):
         if q[0] > 0.35:
             raise outside
-        return own.forms(q)
+        return own.mu(q)
 
-    system = own.system(forms=forms, m=2)
+    system = own.system(mu=forms, m=2)
     free = dal.integrate(own.system(), "midpoint", h=H, steps=100)
     assert free.q[:, 0].max() > 0.35
     with pytest.raises(dal.DomainError, match="too large") as caught:
@@ -493,8 +493,8 @@ def test_ctrl_c_while_a_trajectory_is_evaluated(own, interrupt):
         ("potential", (), r"potential = nan"),
         ("gradient", (2,), r"gradient\[2\] = nan"),
         ("hessian", (1, 2), r"hessian\[1,2\] = nan"),
-        ("forms", (1, 2), r"forms\[1,2\] = nan"),
-        ("forms_velocity_derivative", (0, 3), r"forms_velocity_derivative\[0,3\] = nan"),
+        ("mu", (1, 2), r"mu\[1,2\] = nan"),
+        ("mu_v_q", (0, 3), r"mu_v_q\[0,3\] = nan"),
     ],
 )
 def test_what_is_not_finite_is_named_as_the_user_named_it(own, name, entry, text):
@@ -517,22 +517,22 @@ def test_what_is_not_finite_is_named_as_the_user_named_it(own, name, entry, text
 @pytest.mark.parametrize(
     "wrong, message",
     [
-        (dict(forms=lambda q: [[-q[1], 0, 1], [1, 0]]), r"^forms returned rows of different"),
-        (dict(forms=lambda q: None), "^forms returned None: expected"),
-        (dict(forms=lambda q, v: [[0, 0, 1]]), r"^forms is a function of \(q, v\).*of \(q\)"),
+        (dict(mu=lambda q: [[-q[1], 0, 1], [1, 0]]), r"^mu returned rows of different"),
+        (dict(mu=lambda q: None), "^mu returned None: expected"),
+        (dict(mu=lambda q, v: [[0, 0, 1]]), r"^mu is a function of \(q, v\).*of \(q\)"),
         (dict(force=lambda q, v: -v), r"^force is a function of \(q, v\).*function of \(t, q, v\)"),
-        (dict(forms_velocity_derivative=lambda q: 0), "^forms_velocity_derivative is a function"),
+        (dict(mu_v_q=lambda q: 0), "^mu_v_q is a function"),
         (dict(exact=lambda t: 0), r"^exact is a function of \(t\).*function of \(t, q, v\)"),
     ],
 )
 def test_a_callback_of_another_kind_is_named(wrong, message):
     with pytest.raises(ValueError, match=message):
-        dal.System(**{"mass": [1, 1, 1], "forms": lambda q: [[-q[1], 0, 1]], **wrong})
+        dal.System(**{"mass": [1, 1, 1], "mu": lambda q: [[-q[1], 0, 1]], **wrong})
 
 
 def test_a_callback_may_take_more_than_it_is_given():
     forms = lambda *q, scale=1: [[-scale * q[0][1], 0, 1]]  # noqa: E731
-    assert dal.System(mass=[1, 1, 1], forms=forms).m == 1
+    assert dal.System(mass=[1, 1, 1], mu=forms).m == 1
     with pytest.raises(ValueError, match=r"^observer is a function of \(t, x\)"):
         dal.integrate(dal.systems.particle(), h=0.1, steps=1, observer=lambda t, x: 0)
 
@@ -548,7 +548,7 @@ def test_an_exception_that_was_stepped_around_is_not_the_reason_of_a_later_failu
         return q * (np.nan if q[0] > wild else 1.0)
 
     system = dal.System(
-        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]],
+        mass=[1, 1, 1], mu=lambda q: [[-q[1], 0, 1]],
         potential=lambda q: q @ q / 2, gradient=gradient,
     )  # fmt: skip
     given = {"q0": [0, 1, 0], "v0": [1, 1, 1], "h": 0.01, "steps": 40}

@@ -172,7 +172,7 @@ def test_missing_outputs_are_differenced(library):
         missing=["phi_q"],
         **START,
     )
-    assert own.differenced == ("forms_velocity_derivative",)
+    assert own.differenced == ("mu_v_q",)
     given = dal.systems.particle()
     # phi_q is linear in q and v here: differences are exact but for roundoff
     np.testing.assert_allclose(
@@ -234,7 +234,7 @@ def test_refused(library):
     cases = [
         ({**good, "potential": of_ctypes(library, "drag")}, "8 arguments, expected the 6"),
         ({**good, "potential": lambda q: 0.0}, "together with the C function constraint"),
-        ({**good, "forms": lambda q: [[1, 0, 0]]}, "together with the C function"),
+        ({**good, "mu": lambda q: [[1, 0, 0]]}, "together with the C function"),
         ({"mass": [1, 1, 1], "constraint": constraint}, "m = None"),
         ({"constraint": constraint, "m": 1, "n": 3}, "mass and lagrangian"),
         ({**good, "lagrangian": of_ctypes(library, "lagrangian")}, "mass and lagrangian"),

@@ -68,7 +68,7 @@ def test_formulas(own, pair, beta):
     np.testing.assert_allclose(
         discrete.momentum(h, q0, q1, xi0, xi1), (minus @ xi0, plus @ xi1), **near
     )
-    mu, slope = own.forms(g), own.forms_velocity_derivative(g, f)
+    mu, slope = own.mu(g), own.mu_v_q(g, f)
     np.testing.assert_allclose(discrete.constraint(h, q0, q1), mu @ f, **near)
     E1, E2 = discrete.constraint_derivatives(h, q0, q1)
     np.testing.assert_allclose(E1, (1 - beta) * slope - mu / h, **near)
@@ -93,7 +93,7 @@ def test_step_against_numpy(own, beta):
     residual = discrete.residual(h, q0, q1, q2, on_nodes)
     assert residual.shape == (6,) and abs(residual).max() < SOLVED / h
     moved = discrete.residual(h, q0, q1, q2, on_nodes + 1) - residual
-    np.testing.assert_allclose(moved[:4], h * own.forms(q1).sum(axis=0), atol=SOLVED)
+    np.testing.assert_allclose(moved[:4], h * own.mu(q1).sum(axis=0), atol=SOLVED)
 
 
 def test_regularity(own, pair):
@@ -102,7 +102,7 @@ def test_regularity(own, pair):
     found = discrete.regularity(h, q0, q1)
     D12 = discrete.lagrangian_derivatives(h, q0, q1)[2]
     E2 = discrete.constraint_derivatives(h, q0, q1)[1]
-    expected = np.block([[D12, own.forms(q0).T], [E2, np.zeros((2, 2))]])
+    expected = np.block([[D12, own.mu(q0).T], [E2, np.zeros((2, 2))]])
     np.testing.assert_allclose(found.matrix, expected, rtol=SOLVED)
     sign, logarithm = np.linalg.slogdet(expected)
     assert found.sign == sign

@@ -42,7 +42,7 @@ def skate(**values):
 def in_python():
     """Return a skate of functions in Python."""
     return dal.System(
-        mass=[1.0, 1.0, 0.5], forms=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0.0]],
+        mass=[1.0, 1.0, 0.5], mu=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0.0]],
         q0=[0, 0, 0.3], v0=[np.cos(0.3), np.sin(0.3), 0.7],
     )  # fmt: skip
 
@@ -390,7 +390,7 @@ def test_exceptions_of_functions_are_entries():
             raise KeyError("too far")
         return [[np.sin(q[2]), -np.cos(q[2]), 0.0]]
 
-    system = dal.System(mass=[1, 1, 1], forms=forms, q0=[0, 0, 0], v0=[1, 0, 0.1])
+    system = dal.System(mass=[1, 1, 1], mu=forms, q0=[0, 0, 0], v0=[1, 0, 0.1])
     speed = np.array([0.1, 1.0, 0.2])[:, None] * system.v0
     with pytest.warns(dal.DalembertWarning, match="1 of 3 members failed.*too far"):
         found = many(system, "leapfrog", system.q0, speed, h=0.1, t_end=2)
@@ -644,7 +644,7 @@ def test_processes():
 
 def test_what_does_not_pickle():
     with futures.ProcessPoolExecutor(1) as executor:
-        with pytest.raises(pickle.PicklingError, match="forms"):
+        with pytest.raises(pickle.PicklingError, match="mu"):
             many(in_python(), h=0.1, steps=1, executor=executor, threads=None)
 
 

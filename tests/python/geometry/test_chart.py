@@ -34,7 +34,7 @@ def test_connection(own):
     q, v = several(own)
     chart = dal.Chart(own.system(coordinates="abcd"), q[0], dependent=["c", "a"])
     assert chart.dependent == ("a", "c") and chart.independent == ("b", "d")
-    mu = np.array([own.forms(p) for p in q])
+    mu = np.array([own.mu(p) for p in q])
     near(chart.B(q), mu[:, :, [0, 2]])
     near(chart.A(q), np.linalg.solve(mu[:, :, [0, 2]], mu[:, :, [1, 3]]))
     np.testing.assert_array_equal(chart.A(q[1]), chart.A(q, v)[1])
@@ -260,7 +260,7 @@ def test_exceptions_of_functions_come_back():
             raise KeyError("too far")
         return [[-q[1], 0.0, 1.0]]
 
-    chart = dal.Chart(dal.System(mass=np.eye(3), forms=forms), [0, 0, 0])
+    chart = dal.Chart(dal.System(mass=np.eye(3), mu=forms), [0, 0, 0])
     with pytest.raises(KeyError, match="too far"):
         chart.lift([0, 2, 0, 1, 1])
     near(chart.lift([0, 0.5, 0, 1, 1])[1], [1, 1, 0.5])

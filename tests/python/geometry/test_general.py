@@ -89,16 +89,16 @@ def test_number_of_constraints_is_asked_for():
         ({"mass": [1], "lagrangian_vv": abs}, r"lagrangian_vv is given without lagrangian\(q, v\)"),
         ({"mass": [1], "force_q": abs}, r"force_q is given without force\(t, q, v\)"),
         ({"mass": [1], "force": 3}, "force = 3: expected a function"),
-        ({"mass": [1, 1], "affine": abs}, r"affine is given without forms\(q\)"),
-        ({"mass": [1, 1], "forms": abs, "affine_derivative": abs}, r"without affine\(q\)"),
+        ({"mass": [1, 1], "affine": abs}, r"affine is given without mu\(q\)"),
+        ({"mass": [1, 1], "mu": abs, "affine_derivative": abs}, r"without affine\(q\)"),
         ({"mass": [1, 1], "constraint": abs}, r"constraint is given without constraint_v\(q, v\)"),
         ({"mass": [1, 1], "constraint_q": abs}, r"constraint_q is given without constraint\(q"),
         (
-            {"mass": [1, 1], "forms": abs, "constraint": abs, "constraint_v": abs},
-            "forms and constraint are both given",
+            {"mass": [1, 1], "mu": abs, "constraint": abs, "constraint_v": abs},
+            "mu and constraint are both given",
         ),
         (
-            {"mass": [1, 1], "forms": abs, "affine": abs, "affine_derivative": abs},
+            {"mass": [1, 1], "mu": abs, "affine": abs, "affine_derivative": abs},
             "affine_derivative is given alone: expected both",
         ),
         (
@@ -196,7 +196,7 @@ def everything(system):
 SHAPES = {
     "lagrangian": (), "lagrangian_q": (3,), "lagrangian_v": (3,), "lagrangian_qq": (3, 3),
     "lagrangian_vq": (3, 3), "lagrangian_vv": (3, 3), "force": (3,), "force_q": (3, 3),
-    "force_v": (3, 3), "forms": (1, 3), "forms_velocity_derivative": (1, 3), "affine": (1,),
+    "force_v": (3, 3), "mu": (1, 3), "mu_v_q": (1, 3), "affine": (1,),
     "affine_derivative": (1, 3), "constraint": (1,), "constraint_v": (1, 3),
     "constraint_q": (1, 3),
 }  # fmt: skip
@@ -234,9 +234,9 @@ def test_exceptions_come_back_as_themselves(kind, name):
 
 # What is not finite is named as the user named it; where two functions are added, by both.
 NAMED = {
-    ("affine", "affine"): "(forms v + affine)",
-    ("affine", "forms_velocity_derivative"): "(forms_velocity_derivative + affine_derivative)",
-    ("affine", "affine_derivative"): "(forms_velocity_derivative + affine_derivative)",
+    ("affine", "affine"): "(mu v + affine)",
+    ("affine", "mu_v_q"): "(mu_v_q + affine_derivative)",
+    ("affine", "affine_derivative"): "(mu_v_q + affine_derivative)",
 }
 
 
@@ -305,7 +305,7 @@ def test_check_passes(general):
     [
         (kind, name)
         for kind, name in FUNCTIONS
-        if name not in ("lagrangian", "force", "affine", "constraint", "forms")
+        if name not in ("lagrangian", "force", "affine", "constraint", "mu")
     ],
 )
 def test_check_finds_what_is_wrong(kind, name):

@@ -33,10 +33,10 @@ def test_residual_on_D_and_on_its_deformation(own):
     q, v = several(own)
     system = own.system()
     for shift in (0.0, 0.05):
-        mu = [own.forms(p - shift * w) for p, w in zip(q, v)]
+        mu = [own.mu(p - shift * w) for p, w in zip(q, v)]
         expected = np.array([a @ w for a, w in zip(mu, v)])
         moves = [
-            abs(own.forms_velocity_derivative(p - shift * w, w))
+            abs(own.mu_v_q(p - shift * w, w))
             @ (abs(p - shift * w) + abs(shift * w)) * (shift > 0)
             for p, w in zip(q, v)
         ]
@@ -50,7 +50,7 @@ def test_residual_on_D_and_on_its_deformation(own):
 
 def test_gram(own):
     q, _ = several(own)
-    expected = [own.forms(p) @ np.linalg.solve(own.mass, own.forms(p).T) for p in q]
+    expected = [own.mu(p) @ np.linalg.solve(own.mass, own.mu(p).T) for p in q]
     np.testing.assert_allclose(own.system().gram(q), expected, rtol=TOLERANCE, atol=TOLERANCE)
     assert own.system().gram(q[0]).shape == (2, 2)
 
@@ -80,7 +80,7 @@ def test_project_onto_the_deformation(own):
     assert system.relative_residual(q, w, shift).max() <= 16 * 4 * U
     # Along M^-1 mu(q)^T: what is added lies in the span of mu(q)^T after multiplication with M.
     for p, difference in zip(q, (w - v) @ own.mass):
-        mu = own.forms(p)
+        mu = own.mu(p)
         kappa = np.linalg.lstsq(mu.T, difference, rcond=None)[0]
         np.testing.assert_allclose(mu.T @ kappa, difference, atol=TOLERANCE)
 
@@ -95,7 +95,7 @@ def test_consistent_keeps_components(own, keep):
     # Nearest in the mass metric: the gradient M (w - v) is orthogonal to every direction in D_q
     # that leaves component 1 alone.
     for p, difference in zip(q, (w - v) @ own.mass):
-        rows = np.vstack([own.forms(p), [0.0, 1.0, 0.0, 0.0]])
+        rows = np.vstack([own.mu(p), [0.0, 1.0, 0.0, 0.0]])
         directions = np.linalg.svd(rows)[2][3:]
         np.testing.assert_allclose(directions @ difference, 0.0, atol=TOLERANCE)
 
@@ -231,7 +231,7 @@ def test_wrong_arguments_are_named(particle, q, v, text):
 
 
 def test_singular_forms_say_which_row():
-    system = dal.System(mass=[1, 1], forms=lambda q: [[q[0], 0]], m=1)
+    system = dal.System(mass=[1, 1], mu=lambda q: [[q[0], 0]], m=1)
     with pytest.raises(dal.SingularError) as caught:
         system.multipliers([[1, 0], [2, 0], [0, 0]], np.ones((3, 2)))
     assert caught.value.step == 2

@@ -207,7 +207,7 @@ def test_progress_is_in_dimensions(symbolic):
         car = system
         system = dal.System(
             mass=np.eye(4),
-            forms=lambda q: np.transpose([car.residual(q, e) for e in np.eye(4)]),
+            mu=lambda q: np.transpose([car.residual(q, e) for e in np.eye(4)]),
             q0=car.q0,
             v0=np.zeros(4),
         )
@@ -322,7 +322,7 @@ def test_flat_around_the_state():
 @pytest.mark.parametrize(("bend", "at"), [(1.0, 2.0), (1.05, 1.1), (1.0, 1.05)])
 def test_bent_functions(bend, at):
     """The points nearby may lie where it is flat."""
-    system = dal.System(mass=np.ones(3), forms=lambda q: [[-(max(0, q[1] - bend) ** 3), 0, 1]])
+    system = dal.System(mass=np.ones(3), mu=lambda q: [[-(max(0, q[1] - bend) ** 3), 0, 1]])
     report = system.check([0, at, 0], np.zeros(3))
     assert report.growth == report.general_growth == (2, 3)
     assert not report.integrable and report.holonomic == ()
@@ -383,7 +383,7 @@ def test_proofs_overrule_what_is_seen(in_python):
     assert report.curvature < 1e-12 and not report.integrable and report.exact
     assert report.growth == (2, 3) and report.text.endswith("; D is not integrable")
     assert "disguise" not in str(report)
-    plain = dal.System(mass=np.ones(3), forms=lambda q: [[-1e-13 * q[1], 0, 1]])
+    plain = dal.System(mass=np.ones(3), mu=lambda q: [[-1e-13 * q[1], 0, 1]])
     seen = plain.check([0.1, 0.2, 0.3], np.zeros(3))
     assert seen.integrable and not seen.exact  # as far as 16 digits tell
 
@@ -418,8 +418,8 @@ def test_functions_of_python(derivative):
 
     system = dal.System(
         mass=np.ones(4),
-        forms=lambda q: [[-(q[1] ** 2), 0, 1, 0], [-q[2], 0, 0, 1]],
-        forms_velocity_derivative=slope if derivative else None,
+        mu=lambda q: [[-(q[1] ** 2), 0, 1, 0], [-q[2], 0, 0, 1]],
+        mu_v_q=slope if derivative else None,
         q0=[0.1, 0.2, 0.3, 0.4],
         v0=[0, 0, 0, 0],
     )
@@ -436,7 +436,7 @@ def test_functions_of_python(derivative):
 def test_derivatives_by_differences():
     """Their error is the same along all motions, and no direction of its own."""
     system = dal.System(
-        mass=np.ones(4), forms=lambda q: [[-math.sin(9 * q[1]), 0, 1, 0], [0, 0, -q[1], 1]]
+        mass=np.ones(4), mu=lambda q: [[-math.sin(9 * q[1]), 0, 1, 0], [0, 0, -q[1], 1]]
     )
     assert system.check([0, 0.5, 0, 0], np.zeros(4)).growth == (2, 3, 4)
 
@@ -449,13 +449,13 @@ def test_functions_with_a_small_domain():
             raise ZeroDivisionError("far away")
         return [[-q[1], 0, 1, 0], [-q[2], 0, 0, 1]]
 
-    system = dal.System(mass=np.ones(4), forms=forms, q0=[0.1, 0.2, 0.3, 0.4], v0=np.zeros(4))
+    system = dal.System(mass=np.ones(4), mu=forms, q0=[0.1, 0.2, 0.3, 0.4], v0=np.zeros(4))
     found = functions.examine(system, system.q0, system.q0)
     assert found.growth == found.general_growth == (2, 3, 4) and found.growth_note == ""
 
 
 def test_functions_that_are_not_smooth():
-    system = dal.System(mass=np.ones(4), forms=lambda q: [[-abs(q[1]), 0, 1, 0], [-q[2], 0, 0, 1]])
+    system = dal.System(mass=np.ones(4), mu=lambda q: [[-abs(q[1]), 0, 1, 0], [-q[2], 0, 0, 1]])
     report = system.check(np.zeros(4), np.zeros(4))
     assert report.growth is None and report.general_growth == (2, 3, 4)
     assert "not known; mu does not appear to be smooth there" in str(report)

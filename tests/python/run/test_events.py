@@ -242,7 +242,7 @@ def test_the_end_behind_output_times(scheme):
 def test_t_eval_with_forces_in_time_and_inputs():
     """The multipliers of a row are those at its time, with its inputs."""
     system = dal.System(
-        mass=[1, 1], forms=lambda q: [[1.0, -1.0]], inputs=["u"],
+        mass=[1, 1], mu=lambda q: [[1.0, -1.0]], inputs=["u"],
         force=lambda t, q, v, u: [u[0] + np.sin(t), 0.0], q0=[0, 0], v0=[0, 0],
     )  # fmt: skip
     times, inputs = [0.05, 0.1, 0.23, 0.4], [[1.0], [2.0], [3.0], [4.0]]

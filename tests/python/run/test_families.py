@@ -90,7 +90,7 @@ def test_reference_at_rest_beside_a_wall(method):
         return np.zeros(3)
 
     system = dal.System(
-        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], gradient=gradient,
+        mass=[1, 1, 1], mu=lambda q: [[-q[1], 0, 1]], gradient=gradient,
         potential=lambda q: 0.0, force=lambda t, q, v: [10.0 * (t > 0.5), 0, 0],
     )  # fmt: skip
     flow = dal.Scheme.flow(method, 1e-9)

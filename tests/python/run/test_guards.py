@@ -129,7 +129,7 @@ def test_rows_of_a_sparse_constraint_are_looked_at():
         return [-1.2 * x * a + b, a + 0.3 * b, Y, X + 3]
 
     # small masses make large pivots
-    system = dal.System(mass=[1e-6] * 4, forms=forms, sparsity=[[1, 1, 0, 0], [0, 0, 1, 1]])
+    system = dal.System(mass=[1e-6] * 4, mu=forms, sparsity=[[1, 1, 0, 0], [0, 0, 1, 1]])
     (x0, y0), (u0, w0) = on_the_curve(-0.71)
     start = [x0, y0, 1, 0], [u0, w0, 0.3, 0]
     for scheme, how in (("explicit", {"h": 0.01}), ("reference", {"h": 1.0})):
@@ -143,7 +143,7 @@ def test_constraints_that_are_nearly_dependent_all_the_time_are_not_doubted():
         s, c = np.sin(q[0]), np.cos(q[0])
         return [[0, s, -c, 0], [0, 1e4 * s, -1e4 * c, 1e-1]]  # 1e-5 from the same direction
 
-    system = dal.System(mass=[1, 1, 1, 1], forms=forms)
+    system = dal.System(mass=[1, 1, 1, 1], mu=forms)
     for scheme, how in (("leapfrog", {"h": 0.1}), (None, AUTO)):
         run, said = run_of(system, scheme, [0] * 4, [1, 1, 0, 0], t_end=10, **how)
         assert run.success and not said

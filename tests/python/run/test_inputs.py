@@ -30,8 +30,8 @@ def force(t, q, v, u):
 
 def from_functions():
     return dal.System(
-        mass=[M, M, J], forms=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0]],
-        forms_velocity_derivative=lambda q, v: [
+        mass=[M, M, J], mu=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0]],
+        mu_v_q=lambda q, v: [
             [0, 0, np.cos(q[2]) * v[0] + np.sin(q[2]) * v[1]]
         ],
         force=force, inputs=NAMES, coordinates=["x", "y", "theta"], q0=START, v0=V0,
@@ -224,7 +224,7 @@ def test_multipliers_and_energy_of_rows():
 def test_inputs_of_output_times():
     """A time between the steps has the inputs of its own step: on a rail the reaction is -u."""
     rail = dal.System(
-        mass=[1, 1], forms=lambda q: [[0, 1]], force=lambda t, q, v, u: [0, u[0]], inputs=1
+        mass=[1, 1], mu=lambda q: [[0, 1]], force=lambda t, q, v, u: [0, u[0]], inputs=1
     )
     inputs, at = table(8)[:, :1], [0.0, 0.07, 0.12, 0.31, 0.38]
     run = dal.integrate(rail, "leapfrog", [0, 0], [1, 0], h=0.05, steps=8, inputs=inputs, t_eval=at)
@@ -428,7 +428,7 @@ def test_a_step_that_fails_leaves_no_reaction():
         return np.zeros(3)
 
     own = dal.System(
-        mass=sleigh.mass, forms=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0]], force=force
+        mass=sleigh.mass, mu=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0]], force=force
     )
     stepper = dal.Stepper(own, "midpoint", np.zeros(3), [1, 0, 0.5], h=0.1)
     stepper.step()
@@ -544,7 +544,7 @@ def sled(kind="sympy"):
     names = {"inputs": ["rate", "angle"], "coordinates": ["x", "y", "theta", "steer"]}
     if kind == "functions":
         return dal.System(
-            mass=SLED, forms=sled_forms, affine=sled_affine, potential=sled_potential, driven=True,
+            mass=SLED, mu=sled_forms, affine=sled_affine, potential=sled_potential, driven=True,
             **names,
         )  # fmt: skip
     if kind == "nonlinear":
@@ -950,11 +950,11 @@ def test_refused_driven_systems(in_python):
     with pytest.raises(NotImplementedError, match="whose constraints depend on inputs"):
         moved_cart().deformed(lambda q, v: [0.0], 0.5, g_v=lambda q, v: np.zeros((1, 2)))
     for given, text in (
-        ({"forms": lambda q, u: [[1.0]]}, "driven = True: expected inputs"),
+        ({"mu": lambda q, u: [[1.0]]}, "driven = True: expected inputs"),
         ({"inputs": 1}, "driven = True: expected constraints"),
-        ({"inputs": 1, "forms": lambda q: [[1.0]]}, r"a function of \(q, u\)"),
+        ({"inputs": 1, "mu": lambda q: [[1.0]]}, r"a function of \(q, u\)"),
     ):
         with pytest.raises(ValueError, match=text):
             dal.System(mass=[1.0], driven=True, **given)
     with pytest.raises(ValueError, match="pass driven=True"):
-        dal.System(mass=[1.0], forms=lambda q, u: [[1.0]], inputs=1)
+        dal.System(mass=[1.0], mu=lambda q, u: [[1.0]], inputs=1)

@@ -443,7 +443,7 @@ def test_computed_quantities(own):
     np.testing.assert_allclose(run.multipliers, lam, atol=1e-12)
     np.testing.assert_allclose(run.energy, energy, rtol=1e-13)
     np.testing.assert_allclose(
-        run.constraint, [own.forms(q) @ v for q, v in zip(run.q, run.v)], atol=4 * 4 * U
+        run.constraint, [own.mu(q) @ v for q, v in zip(run.q, run.v)], atol=4 * 4 * U
     )
     np.testing.assert_allclose(
         run.residual, [own.residual(q, v) for q, v in zip(run.q, run.v)], atol=4 * 4 * U
@@ -500,9 +500,9 @@ def test_a_missing_extra_says_the_line_to_type(particle, monkeypatch):
 
 
 def test_differenced_are_in_the_statistics(own):
-    bare = own.system(hessian=None, forms_velocity_derivative=None)
+    bare = own.system(hessian=None, mu_v_q=None)
     run = dal.integrate(bare, "midpoint", h=H, steps=5)
-    assert run.stats.differenced == ("hessian", "forms_velocity_derivative")
+    assert run.stats.differenced == ("hessian", "mu_v_q")
     full = dal.integrate(own.system(), "midpoint", h=H, steps=5)
     # Only Newton's matrix is differenced: the solution is the same to what Newton stops at.
     np.testing.assert_allclose(run.x, full.x, atol=TOLERANCE)
@@ -612,7 +612,7 @@ POSITIONAL = dal.System(mass=[1.0, 1.0], force=lambda t, q, v: -q, positional=Tr
                         q0=[1, 0], v0=[0, 1])  # fmt: skip
 DRAGGED = dal.System(mass=[1.0, 1.0], force=drag, q0=[1, 0], v0=[0, 1])
 SPARSE_DRAGGED = dal.System(
-    mass=[1.0] * 3, force=drag, forms=lambda q: [1.0, 1.0], sparsity=([0, 0], [0, 1]), m=1,
+    mass=[1.0] * 3, force=drag, mu=lambda q: [1.0, 1.0], sparsity=([0, 0], [0, 1]), m=1,
     q0=[1, 0, 0], v0=[0, 0, 1],
 )  # fmt: skip
 SPEED = dal.System(

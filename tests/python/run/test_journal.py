@@ -30,7 +30,7 @@ def turning(q, v):
 
 def cart(mass=M, **options):
     return dal.System(
-        mass=[mass, mass, J], forms=forms, forms_velocity_derivative=turning, force=force,
+        mass=[mass, mass, J], mu=forms, mu_v_q=turning, force=force,
         inputs=["push", "turn"], coordinates=["x", "y", "theta"], q0=[0.3, -0.2, 0.4],
         v0=[np.cos(0.4), np.sin(0.4), 1.1], name="cart", **options,
     )  # fmt: skip
@@ -248,7 +248,7 @@ def test_an_exception_within_a_composed_step(tmp_path):
         return [-0.1 * v[0], -q[1], 0.2 * np.cos(t)]
 
     system = dal.System(
-        mass=[1, 1, 1], forms=forms, q0=[0, 0, 0.3], v0=[np.cos(0.3), np.sin(0.3), 0.7],
+        mass=[1, 1, 1], mu=forms, q0=[0, 0, 0.3], v0=[np.cos(0.3), np.sin(0.3), 0.7],
         force=pushed,
     )  # fmt: skip
     whole = dal.integrate(system, "leapfrog-suzuki4", h=0.1, steps=40)
@@ -405,7 +405,7 @@ def test_another_system(tmp_path):
         return np.add(force(t, q, v, u), [0.01 * v[0], 0, 0])
 
     looks_alike = dal.System(
-        mass=[M, M, J], forms=forms, forms_velocity_derivative=turning, force=other,
+        mass=[M, M, J], mu=forms, mu_v_q=turning, force=other,
         inputs=["push", "turn"], coordinates=["x", "y", "theta"],
     )  # fmt: skip
     with pytest.raises(ValueError, match="at its first state the field was"):

@@ -23,8 +23,8 @@ def hilly(inputs=(), steep=40):
     force = {"force": lambda t, q, v, u: [u[0], 0, 0]} if inputs else {}
     return dal.System(
         mass=[1, 1, 1],
-        forms=lambda q: [[-q[1], 0, 1]],
-        forms_velocity_derivative=lambda q, v: [[0, -v[0], 0]],
+        mu=lambda q: [[-q[1], 0, 1]],
+        mu_v_q=lambda q, v: [[0, -v[0], 0]],
         potential=lambda q: steep * q[0] ** 4 + q[1] ** 2,
         gradient=lambda q: [4 * steep * q[0] ** 3, 2 * q[1], 0],
         hessian=lambda q: np.diag([12 * steep * q[0] ** 2, 2, 0]),

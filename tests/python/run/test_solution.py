@@ -128,7 +128,7 @@ def test_times_count_every_step(stride, t0):
     """A force that depends on t tells which time the multipliers of a stored state were given."""
     force = lambda t, q, v: [0.0, np.cos(3 * t), np.sin(t)]  # noqa: E731
     system = dal.System(
-        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], force=force, q0=[0, 1, 0], v0=[1, 1, 1]
+        mass=[1, 1, 1], mu=lambda q: [[-q[1], 0, 1]], force=force, q0=[0, 1, 0], v0=[1, 1, 1]
     )
     run = dal.integrate(system, "midpoint", h=0.05, steps=40, stride=stride, t0=t0)
     np.testing.assert_array_equal(run.t, [t0 + k * stride * 0.05 for k in range(len(run.x))])

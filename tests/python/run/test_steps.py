@@ -114,7 +114,7 @@ def test_the_edge_of_a_domain_is_an_end(scheme):
         return [np.nan if q[0] > 0.5 else 0, 0, 0]
 
     system = dal.System(
-        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], potential=lambda q: 0.0,
+        mass=[1, 1, 1], mu=lambda q: [[-q[1], 0, 1]], potential=lambda q: 0.0,
         gradient=gradient,
     )  # fmt: skip
     with pytest.raises(dal.DomainError) as caught:
@@ -268,7 +268,7 @@ def test_what_was_made_before_a_failure_is_kept():
 
     system = dal.System(
         mass=[1, 1], potential=potential, gradient=lambda q: [1 / (1 - q[0]) - 5, 0],
-        forms=lambda q: [[0, 1]], q0=[0, 0], v0=[1, 0],
+        mu=lambda q: [[0, 1]], q0=[0, 0], v0=[1, 0],
     )  # fmt: skip
 
     def observer(step, t, q, v):

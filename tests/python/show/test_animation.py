@@ -235,7 +235,7 @@ def test_roundoff_of_a_fall_from_rest_has_no_arrow_and_a_force_on_a_hill_has_one
     assert abs(fall.multipliers).max() > 0 and dal.plot.animate(fall).scale is None
     hill = dal.System(
         mass=[1, 1, 1], coordinates=["x", "y", "theta"], potential=lambda q: 1e12,
-        gradient=lambda q: 0 * q, forms=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0]],
+        gradient=lambda q: 0 * q, mu=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0]],
     )  # fmt: skip
     run = dal.integrate(hill, q0=[0, 0, 0], v0=[1, 0, 1], h=0.02, t_end=4)
     assert dal.plot.animate(run).scale is not None
@@ -289,7 +289,7 @@ def test_reactions_that_are_roundoff_are_not_blown_up():
 
 def test_reactions_with_inputs_are_those_of_their_step():
     pushed = dal.System(
-        mass=[1, 1, 1], forms=lambda q: [[-np.sin(q[2]), np.cos(q[2]), 0]],
+        mass=[1, 1, 1], mu=lambda q: [[-np.sin(q[2]), np.cos(q[2]), 0]],
         force=lambda t, q, v, u: [0, u[0], 0], inputs=["push"], coordinates=["x", "y", "theta"],
     )  # fmt: skip
     run = dal.integrate(pushed, "leapfrog", [0, 0, 0], [1, 0, 0], h=0.1, steps=20,
@@ -417,7 +417,7 @@ def test_a_run_of_one_state_and_one_that_broke_off():
     def forms(q):
         return [[0, 1, -np.sqrt(1 - q[0]) if q[0] < 1 else np.nan]]
 
-    bad = dal.System(mass=[1, 1, 1], forms=forms, coordinates="xyz")
+    bad = dal.System(mass=[1, 1, 1], mu=forms, coordinates="xyz")
     part = dal.integrate(bad, "midpoint", [0, 0, 0], [1, 1, 1], h=0.1, t_end=3, throw=False)
     assert not part.success
     film = dal.plot.animate(part)
@@ -438,7 +438,7 @@ def test_a_body_at_rest_and_a_path_along_an_axis():
 
 def test_a_system_of_ones_own_is_a_point():
     run = dal.integrate(
-        dal.System(mass=np.eye(3), forms=lambda q: [[-q[1], 0, 1]], coordinates="xyz",
+        dal.System(mass=np.eye(3), mu=lambda q: [[-q[1], 0, 1]], coordinates="xyz",
                    name="sleigh"),
         "leapfrog", [0, 0, 0], [1, 1, 0], h=0.05, t_end=2,
     )  # fmt: skip

@@ -118,7 +118,7 @@ def test_other_runs():
 @pytest.mark.usefixtures("undrawn")
 def test_a_long_run_is_looked_at_in_places(monkeypatch):
     """Neither the picture nor the verdict takes all rows."""
-    system = dal.System(mass=[1, 1, 1], forms=forms, q0=[0, 1, 0], v0=[1, 1, 1])
+    system = dal.System(mass=[1, 1, 1], mu=forms, q0=[0, 1, 0], v0=[1, 1, 1])
     run = dal.integrate(system, "reference", h=0.0075, steps=400)
     monkeypatch.setattr(panels, "ROWS", 100)
     text = run._repr_html_()

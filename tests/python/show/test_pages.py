@@ -289,7 +289,7 @@ def test_pages_are_replaced_and_others_left_alone(tmp_path):
 def test_a_system_of_the_users_own(tmp_path):
     own = dal.System(
         mass=[1, 1, 1],
-        forms=lambda q: [[-q[1], 0, 1]],
+        mu=lambda q: [[-q[1], 0, 1]],
         coordinates=["x", "y", "$z<"],
         q0=[0, 1, 0],
         v0=[1, 1, 1],
@@ -349,7 +349,7 @@ def test_a_run_that_breaks_off():
         return [[-q[1], 0, 1]]
 
     system = dal.System(
-        mass=[1, 1, 1], forms=forms, coordinates="xyz", q0=[0, 0, 0], v0=[1, 0, 0], name="wall"
+        mass=[1, 1, 1], mu=forms, coordinates="xyz", q0=[0, 0, 0], v0=[1, 0, 0], name="wall"
     )
     assert "It ended early at t = " in Page(dal.pages.page(system)).words
 

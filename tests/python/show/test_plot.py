@@ -284,8 +284,8 @@ def test_energy_is_relative_on_a_linear_axis(speed, height):
     """The particle under a constant force: E = v.v/2 + z, from -90 to 140."""
     system = dal.System(
         mass=[1, 1, 1],
-        forms=lambda q: [[-q[1], 0, 1]],
-        forms_velocity_derivative=lambda q, v: [[0, -v[0], 0]],
+        mu=lambda q: [[-q[1], 0, 1]],
+        mu_v_q=lambda q, v: [[0, -v[0], 0]],
         potential=lambda q: q[2],
         gradient=lambda q: [0, 0, 1],
         name="falling",

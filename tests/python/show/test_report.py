@@ -305,13 +305,13 @@ def test_a_failure_is_said_first(tmp_path):
 def test_a_system_of_the_users_own(tmp_path):
     """With the name of one of the library."""
     own = dal.System(
-        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], q0=[0, 1, 0], v0=[1, 1, 1], name="particle"
+        mass=[1, 1, 1], mu=lambda q: [[-q[1], 0, 1]], q0=[0, 1, 0], v0=[1, 1, 1], name="particle"
     )
     studies = dal.studies(own, ["midpoint"], steps=STEPS)
     text = written(studies, tmp_path)
     words = Page(text).words
     assert "a user-defined system" in words and "dalembert study particle" not in words
-    assert "The system has no formulas, because it is defined by a constant mass, forms." in words
+    assert "The system has no formulas, because it is defined by a constant mass, mu." in words
     assert "constraints: 1 linear constraint." in words and "<math" in text
 
 

@@ -167,7 +167,7 @@ def test_g_tilde(own):
         g, gt = embedding.g(tau), embedding.g_tilde(tau)
         np.testing.assert_array_equal(embedding.chart.drop(gt[:4], gt[4:]), g)
         # d(mu v) along g~: sums of 10 terms of size 1.
-        tangent = own.forms_velocity_derivative(q, v) @ gt[:4] + own.forms(q) @ gt[4:]
+        tangent = own.mu_v_q(q, v) @ gt[:4] + own.mu(q) @ gt[4:]
         assert largest(tangent) <= 256 * U
         field, multipliers = system.perturbed(q, v, gt, 0.1)
         assert largest(field, system.field(q, v) + 0.1 * gt) <= 1e-13
@@ -186,7 +186,7 @@ def test_perturbed_against_the_saddle_point_system(own):
     ghat = rng.standard_normal((5, 8))
     field, multipliers = system.perturbed(q, v, ghat, weight)
     for k in range(5):
-        mu, turn = own.forms(q[k]), own.forms_velocity_derivative(q[k], v[k])
+        mu, turn = own.mu(q[k]), own.mu_v_q(q[k], v[k])
         qdot = v[k] + weight * ghat[k, :4]
         saddle = np.block([[own.mass, -mu.T], [mu, np.zeros((2, 2))]])
         force = own.mass @ (weight * ghat[k, 4:]) - own.gradient(q[k])
@@ -347,7 +347,7 @@ def test_data_off_D_are_refused(particle):
 
 def test_forces_are_refused():
     pushed = dal.System(
-        mass=[1, 1, 1], forms=particle_forms, force=lambda t, q, v: [t, 0, 0],
+        mass=[1, 1, 1], mu=particle_forms, force=lambda t, q, v: [t, 0, 0],
         q0=[0, 1, 0], v0=[1, 1, 1],
     )  # fmt: skip
     with pytest.raises(NotImplementedError, match="autonomous"):

@@ -262,8 +262,8 @@ def test_roundoff_hides_no_lower_order(system, base, order):
 
 def test_a_study_where_every_run_fails_says_why():
     system = dal.System(
-        mass=[1.0, 1.0], forms=lambda q: [[np.nan if q[0] > 0.01 else 1.0, -1.0]],
-        q0=[0, 0], v0=[1, 1], forms_velocity_derivative=lambda q, v: [[0, 0]],
+        mass=[1.0, 1.0], mu=lambda q: [[np.nan if q[0] > 0.01 else 1.0, -1.0]],
+        q0=[0, 0], v0=[1, 1], mu_v_q=lambda q, v: [[0, 0]],
     )  # fmt: skip
     with pytest.raises(dal.DomainError):
         dal.convergence(system, "leapfrog", steps=[1, 2, 4])
@@ -277,7 +277,7 @@ def test_a_study_where_every_run_fails_says_why():
 def test_a_gradient_of_something_else_is_told_by_the_energy():
     def system(slope):
         return dal.System(
-            mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]],
+            mass=[1, 1, 1], mu=lambda q: [[-q[1], 0, 1]],
             potential=lambda q: np.cos(q[0]) + q[2] ** 2,
             gradient=lambda q: [-np.sin(q[0]), 0, slope * q[2]],
         )  # fmt: skip
@@ -584,8 +584,8 @@ def test_one_scheme_is_a_collection_of_one_and_progress_is_told():
 def test_a_system_of_the_users_own_is_measured_against_the_flow():
     own = dal.System(
         mass=[1, 1, 1],
-        forms=lambda q: [[-q[1], 0, 1]],
-        forms_velocity_derivative=lambda q, v: [[0, -v[0], 0]],
+        mu=lambda q: [[-q[1], 0, 1]],
+        mu_v_q=lambda q, v: [[0, -v[0], 0]],
         q0=Q0,
         v0=V0,
     )
@@ -729,6 +729,6 @@ def test_an_exception_of_the_users_own_comes_back():
             raise Broken("at call 201")
         return [[-q[1], 0, 1]]
 
-    own = dal.System(mass=[1, 1, 1], forms=forms, q0=Q0, v0=V0)
+    own = dal.System(mass=[1, 1, 1], mu=forms, q0=Q0, v0=V0)
     with pytest.raises(Broken, match="at call 201"):
         dal.convergence(own, "midpoint")

@@ -929,7 +929,7 @@ def test_names_that_are_taken_for_others():
 def test_formulas_that_say_a_part(formulas):
     """Then the growth vector is that of the functions."""
     system = dal.System(
-        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], coordinates=["x", "y", "z"],
+        mass=[1, 1, 1], mu=lambda q: [[-q[1], 0, 1]], coordinates=["x", "y", "z"],
         formulas=formulas,
     )  # fmt: skip
     assert system.check([0.3, 0.4, 0.5], [1, 1, 0.4]).growth == (2, 3)

@@ -82,8 +82,8 @@ def test_formulas(own, bent):
     system = bent.of(own.system())
     q, v = several(own, system)
     for p, w in zip(q, v):
-        phi_v = own.forms(p) + bent.delta * bent.g_v(p, w)
-        phi_q = own.forms_velocity_derivative(p, w) + bent.delta * bent.g_q(p, w)
+        phi_v = own.mu(p) + bent.delta * bent.g_v(p, w)
+        phi_q = own.mu_v_q(p, w) + bent.delta * bent.g_q(p, w)
         saddle = np.block([[own.mass, -phi_v.T], [phi_v, np.zeros((2, 2))]])
         x = np.linalg.solve(saddle, np.concatenate([-own.gradient(p), -phi_q @ w]))
         close = {"rtol": TOLERANCE, "atol": TOLERANCE}
@@ -91,7 +91,7 @@ def test_formulas(own, bent):
         np.testing.assert_allclose(system.multipliers(p, w), x[4:], **close)
         gram = phi_v @ np.linalg.solve(own.mass, phi_v.T)
         np.testing.assert_allclose(system.gram(p, w), gram, **close)
-        residual = own.forms(p) @ w + bent.delta * bent.g(p, w)
+        residual = own.mu(p) @ w + bent.delta * bent.g(p, w)
         np.testing.assert_allclose(system.residual(p, w), residual, rtol=0, atol=TOLERANCE)
         np.testing.assert_allclose(system.power(p, w)[0], x[4:] @ phi_v @ w, **close)
         assert abs(system.power(p, w)[0]) > 1e-4
@@ -154,7 +154,7 @@ def test_the_handle_keeps_the_base():
     """What C holds is the handle: with it the base lives, and with it it goes."""
     for deform in (lambda base: with_product(base, 0.1), lambda base: base.at_kept_nodes(0.1)):
         base = dal.System(
-            mass=[1, 1, 1], forms=particle_forms, forms_velocity_derivative=particle_derivative
+            mass=[1, 1, 1], mu=particle_forms, mu_v_q=particle_derivative
         )
         alive, handle = weakref.ref(base), deform(base)._handle
         del base
@@ -167,7 +167,7 @@ def test_the_handle_keeps_the_base():
 
 def test_pickle():
     base = dal.System(
-        mass=[1, 1, 1], forms=particle_forms, forms_velocity_derivative=particle_derivative
+        mass=[1, 1, 1], mu=particle_forms, mu_v_q=particle_derivative
     )
     q, v = [0.5, 0.3, -0.2], [1.0, 0.7, 0.265]
     for system in (
@@ -186,8 +186,8 @@ def test_pickle_of_a_lambda_says_which(particle):
     system = particle.deformed(product, 0.1, g_v=lambda q, v: product_v(q, v), g_q=product_q)
     with pytest.raises(pickle.PicklingError, match="'particle_deformed'.*its g_v = <function"):
         pickle.dumps(system)
-    local = dal.System(mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], name="local")
-    with pytest.raises(pickle.PicklingError, match="'local'.*forms"):
+    local = dal.System(mass=[1, 1, 1], mu=lambda q: [[-q[1], 0, 1]], name="local")
+    with pytest.raises(pickle.PicklingError, match="'local'.*mu"):
         pickle.dumps(with_product(local, 0.1))
 
 
@@ -214,7 +214,7 @@ def test_exceptions_come_back_as_themselves(own, bent, name):
     assert caught.value is error
 
 
-@pytest.mark.parametrize("name", ["forms", "forms_velocity_derivative", "gradient"])
+@pytest.mark.parametrize("name", ["mu", "mu_v_q", "gradient"])
 def test_exceptions_of_the_base_come_back(own, bent, name):
     error = Mine(name)
 
@@ -289,8 +289,8 @@ def test_refused(own, bent, particle):
     for shift in (np.inf, None, [1.0]):
         with pytest.raises(ValueError, match=re.escape(f"shift = {shift!r}")):
             particle.at_kept_nodes(shift)
-    bare = own.system(forms_velocity_derivative=None)
-    with pytest.raises(ValueError, match="^forms_velocity_derivative is missing.*'own'"):
+    bare = own.system(mu_v_q=None)
+    with pytest.raises(ValueError, match="^mu_v_q is missing.*'own'"):
         bare.at_kept_nodes(0.1)
     bare = dal.System(
         mass=[1, 1], constraint=lambda q, v: [v[0]], constraint_v=lambda q, v: [[1, 0]]

@@ -221,4 +221,4 @@ def test_more_constraints_than_coordinates():
     with pytest.raises(ValueError, match="constraints: 2 on 1 coordinates; expected at most 1"):
         dal.System.from_sympy(X.d**2 / 2, [X.d - 3, X.d - 4])
     with pytest.raises(ValueError, match="m = 2 constraints on n = 1 coordinates: expected at"):
-        dal.System(mass=[1], forms=lambda q: [[1.0], [2.0]])
+        dal.System(mass=[1], mu=lambda q: [[1.0], [2.0]])

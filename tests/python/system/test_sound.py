@@ -18,8 +18,8 @@ def system_of(B, mass, c):
     """Return the system of constant forms B in the field of the constant force -c."""
     return dal.System(
         mass=mass,
-        forms=lambda q: B,
-        forms_velocity_derivative=lambda q, v: 0 * B,
+        mu=lambda q: B,
+        mu_v_q=lambda q, v: 0 * B,
         potential=lambda q: q @ c,
         gradient=lambda q: c,
     )
@@ -192,8 +192,8 @@ def test_from_rest(scheme, in_python):
         assert residual_of(mu, inverse, v) <= 20 * U
     held = dal.System(
         mass=[1, 2],
-        forms=lambda q: [[0.3, 0]],
-        forms_velocity_derivative=lambda q, v: [[0, 0]],
+        mu=lambda q: [[0.3, 0]],
+        mu_v_q=lambda q, v: [[0, 0]],
         potential=lambda q: 7 * q[0],
         gradient=lambda q: [7, 0],
     )
@@ -212,8 +212,8 @@ def test_a_false_declaration_is_found_out():
     """Mu depends on y, which the reaction pushes, beyond y = 1/2 only."""
     system = dal.System(
         mass=np.eye(3),
-        forms=lambda q: [[1, -np.sin(q[2]), max(q[1] - 0.5, 0)]],
-        forms_velocity_derivative=lambda q, v: [[0, (q[1] > 0.5) * v[2], -np.cos(q[2]) * v[1]]],
+        mu=lambda q: [[1, -np.sin(q[2]), max(q[1] - 0.5, 0)]],
+        mu_v_q=lambda q, v: [[0, (q[1] > 0.5) * v[2], -np.cos(q[2]) * v[1]]],
         steady=True,
     )
     q0 = [0, 0, 0.3]
@@ -229,7 +229,7 @@ def test_kept_nodes_where_they_give_q_back(scheme, far, h, force):
     """The state that is measured is the one that a reader computes from what is stored."""
     more = {"force": lambda t, q, v: 0 * v} if force else {}
     system = dal.System(
-        mass=[1, 1, 0.5], forms=lambda q: [[-np.sin(q[2]), np.cos(q[2]), -0.2]], **more
+        mass=[1, 1, 0.5], mu=lambda q: [[-np.sin(q[2]), np.cos(q[2]), -0.2]], **more
     )
     start = [far, -far, far], [1, 0.2, 3.0]
     run = dal.integrate(
@@ -364,8 +364,8 @@ def test_rows_that_depend_on_the_way():
     """Two blades that are parallel at s = 0, where a step leads."""
     blades = dal.System(
         mass=[1, 1, 1],
-        forms=lambda q: [[np.cos(q[2]), np.sin(q[2]), 0], [np.cos(q[2]), -np.sin(q[2]), 0]],
-        forms_velocity_derivative=lambda q, v: [
+        mu=lambda q: [[np.cos(q[2]), np.sin(q[2]), 0], [np.cos(q[2]), -np.sin(q[2]), 0]],
+        mu_v_q=lambda q, v: [
             [0, 0, -np.sin(q[2]) * v[0] + sign * np.cos(q[2]) * v[1]] for sign in (1, -1)
         ],
     )

@@ -30,7 +30,7 @@ class Skates:
                 pattern[a, own[a - 1]] = True
         self.pattern, self.entries = pattern, np.nonzero(pattern)
 
-    def forms(self, q):
+    def mu(self, q):
         mu = np.zeros((self.count, self.n))
         for a in range(self.count):
             x, y, heading = q[3 * a : 3 * a + 3]
@@ -63,7 +63,7 @@ class Skates:
         return g.ravel()
 
     def sparse_forms(self, q):
-        return self.forms(q)[self.entries]
+        return self.mu(q)[self.entries]
 
     def sparse_derivative(self, q, v):
         return self.derivative(q, v)[self.entries]
@@ -77,12 +77,12 @@ class Skates:
         V = {"potential": self.potential, "gradient": self.gradient} if self.stiffness else {}
         common = V | more
         dense = dal.System(
-            mass=np.diag(self.masses), forms=self.forms,
-            forms_velocity_derivative=self.derivative, **common,
+            mass=np.diag(self.masses), mu=self.mu,
+            mu_v_q=self.derivative, **common,
         )  # fmt: skip
         sparse = dal.System(
-            mass=self.masses, forms=self.sparse_forms,
-            forms_velocity_derivative=self.sparse_derivative, sparsity=self.pattern, **common,
+            mass=self.masses, mu=self.sparse_forms,
+            mu_v_q=self.sparse_derivative, sparsity=self.pattern, **common,
         )  # fmt: skip
         return dense, sparse
 
@@ -95,7 +95,7 @@ class Skates:
     def reduced(self, t, x):
         """The equations with the multipliers eliminated, dense, by NumPy."""
         q, v = np.split(x, 2)
-        mu, inverse = self.forms(q), 1 / self.masses
+        mu, inverse = self.mu(q), 1 / self.masses
         f = -self.gradient(q)
         C = (mu * inverse) @ mu.T
         multipliers = np.linalg.solve(C, -mu @ (inverse * f) - self.derivative(q, v) @ v)
@@ -145,12 +145,12 @@ def test_against_the_reduced_equations():
 ])  # fmt: skip
 def test_ways_to_say_it(given):
     skates = Skates(4)
-    system = dal.System(mass=1, n=skates.n, forms=skates.sparse_forms, sparsity=given(skates))
+    system = dal.System(mass=1, n=skates.n, mu=skates.sparse_forms, sparsity=given(skates))
     assert system.m == 4
     for one, other in zip(system.sparsity, skates.entries):
         np.testing.assert_array_equal(one, other)
     assert dal.System(mass=1, n=2).sparsity is None
-    large = dal.System(mass=1, n=20_001, forms=lambda q: [1], sparsity=([0], [0]))
+    large = dal.System(mass=1, n=20_001, mu=lambda q: [1], sparsity=([0], [0]))
     assert (large.n, large.m) == (20_001, 1)
 
 
@@ -159,7 +159,7 @@ def test_derivatives_by_differences():
     dense, sparse = skates.systems()
     q0, v0 = skates.start(dense)
     alone = dal.System(
-        mass=skates.masses, forms=skates.sparse_forms, sparsity=skates.entries,
+        mass=skates.masses, mu=skates.sparse_forms, sparsity=skates.entries,
         potential=skates.potential, gradient=skates.gradient,
     )  # fmt: skip
     exact = dense.multipliers(q0, v0)
@@ -197,8 +197,8 @@ def test_forces_of_velocity():
     dense = skates.systems(force=drag)[0]
     sparse = skates.systems(force=drag)[1]
     matrix = dal.System(
-        mass=np.diag(skates.masses), forms=skates.sparse_forms,
-        forms_velocity_derivative=skates.sparse_derivative, sparsity=skates.entries, force=drag,
+        mass=np.diag(skates.masses), mu=skates.sparse_forms,
+        mu_v_q=skates.sparse_derivative, sparsity=skates.entries, force=drag,
         potential=skates.potential, gradient=skates.gradient,
     )  # fmt: skip
     start = skates.start(dense)
@@ -268,11 +268,11 @@ def test_check_finds_what_a_sparsity_leaves_out(given):
 
     q, v = [0, 0, 0.3, 1, 1, 0.5], [np.cos(0.3), np.sin(0.3), 1, np.cos(0.5), np.sin(0.5), 1]
     rows, columns = [0, 0, 1, 1, 1], [0, 1, 3, 4, 5]  # without the heading of the first
-    system = dal.System(mass=np.ones(6), forms=forms, sparsity=(rows, columns),
-                        forms_velocity_derivative=derivative if given else None)
-    text = r"forms_velocity_derivative\[0,2\]" if given else r"sparsity: entry \(0, 2\) is missing"
+    system = dal.System(mass=np.ones(6), mu=forms, sparsity=(rows, columns),
+                        mu_v_q=derivative if given else None)
+    text = r"mu_v_q\[0,2\]" if given else r"sparsity: entry \(0, 2\) is missing"
     assert re.search(text, str(system.check(q, v)))
-    whole = dal.System(mass=np.ones(6), forms=lambda q: np.insert(forms(q), 2, 0),
+    whole = dal.System(mass=np.ones(6), mu=lambda q: np.insert(forms(q), 2, 0),
                        sparsity=([0, 0, 0, 1, 1, 1], range(6)))
     assert str(whole.check(q, v)).startswith("passed")
     assert not whole.check(q, v).phi_q.checked
@@ -295,7 +295,7 @@ def test_journals_and_pickles(tmp_path):
     with pytest.raises(ValueError):
         dal.resume(journal, system=others, steps=70)
     told = [
-        dal.System(mass=1, n=3, forms=lambda q: [1], sparsity=([0], [column]), force=drag,
+        dal.System(mass=1, n=3, mu=lambda q: [1], sparsity=([0], [column]), force=drag,
                    positional=positional)
         for column, positional in ((0, False), (1, False), (0, True))
     ]  # fmt: skip
@@ -314,18 +314,18 @@ def test_journals_and_pickles(tmp_path):
     ({"sparsity": ([0, 0], [3, 7])}, r"entry 1, \(0, 7\), is outside"),
     ({"sparsity": coo_array(np.ones(6))}, r"expected shape \(m, 6\), got \(6,\)"),
     ({"sparsity": np.ones((2, 6)), "affine": lambda q: [0, 0]}, "sparsity is given with affine"),
-    ({"sparsity": np.ones((2, 6)), "forms": None}, "sparsity is given without forms"),
+    ({"sparsity": np.ones((2, 6)), "mu": None}, "sparsity is given without mu"),
 ])  # fmt: skip
 def test_refused(given, text):
-    options = {"forms": lambda q: np.zeros(12), "mass": np.ones(6)} | given
+    options = {"mu": lambda q: np.zeros(12), "mass": np.ones(6)} | given
     with pytest.raises(ValueError, match=text):
         dal.System(**options)
 
 
 def test_wrong_lengths_are_named():
     skates = Skates(3)
-    system = dal.System(mass=skates.masses, forms=skates.forms, sparsity=skates.pattern)
-    with pytest.raises(ValueError, match=r"forms returned shape .*: expected \(15,\)"):
+    system = dal.System(mass=skates.masses, mu=skates.mu, sparsity=skates.pattern)
+    with pytest.raises(ValueError, match=r"mu returned shape .*: expected \(15,\)"):
         system.multipliers(np.zeros(9), np.zeros(9))
 
 
@@ -344,7 +344,7 @@ def test_no_matrix_of_n_rows():
 
     tracemalloc.start()
     system = dal.System(
-        mass=np.ones(n), forms=forms, forms_velocity_derivative=derivative,
+        mass=np.ones(n), mu=forms, mu_v_q=derivative,
         sparsity=(np.repeat(np.arange(count), 3), own.ravel()),
     )  # fmt: skip
     assert "9000 coordinates, 3000 constraints" in repr(system)

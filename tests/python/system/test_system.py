@@ -160,9 +160,26 @@ def test_defaults():
 
 def test_differenced_are_named(own):
     assert own.system(gradient=None, hessian=None).differenced == ("gradient", "hessian")
-    bare = own.system(forms_velocity_derivative=None)
-    assert bare.differenced == ("forms_velocity_derivative",)
+    bare = own.system(mu_v_q=None)
+    assert bare.differenced == ("mu_v_q",)
     assert dal.System(mass=[1]).differenced == ()
+
+
+def test_former_names_of_the_constraints():
+    """z' = y x' without forces: lambda = x' y' / (1 + y^2)."""
+    functions = lambda q: [[-q[1], 0, 1]], lambda q, v: [[0, -v[0], 0]]  # noqa: E731
+    former = dict(zip(("forms", "forms_velocity_derivative"), functions))
+    with pytest.warns(DeprecationWarning) as warned:
+        system = dal.System(mass=[1, 1, 1], **former)
+    words = [str(one.message) for one in warned]
+    assert words == [
+        "System(forms=...) is deprecated: write mu=",
+        "System(forms_velocity_derivative=...) is deprecated: write mu_v_q=",
+    ]
+    assert {one.filename for one in warned} == {__file__} and system.differenced == ()
+    assert system.multipliers([0, 2, 0], [3, 1, 6]) == pytest.approx(3 / 5, rel=1e-14)
+    with pytest.warns(DeprecationWarning), pytest.raises(TypeError, match="'forms'"):
+        dal.System(mass=[1, 1, 1], mu=functions[0], forms=functions[0])
 
 
 def test_number_of_constraints_is_asked_for_at_q0():
@@ -172,9 +189,9 @@ def test_number_of_constraints_is_asked_for_at_q0():
         asked.append(q)
         return np.ones((1, 2))
 
-    assert dal.System(mass=[1, 1], forms=forms, q0=[3, 4], v0=[1, -1]).m == 1
+    assert dal.System(mass=[1, 1], mu=forms, q0=[3, 4], v0=[1, -1]).m == 1
     np.testing.assert_array_equal(asked, [[3, 4]])
-    dal.System(mass=[1, 1], forms=forms, m=1)
+    dal.System(mass=[1, 1], mu=forms, m=1)
     assert len(asked) == 1
 
 
@@ -203,16 +220,16 @@ def test_number_of_constraints_is_asked_for_at_q0():
         ({"mass": [1, 1], "q0": [0, 0], "v0": [0]}, r"v0: expected shape \(2,\), got \(1,\)"),
         ({"mass": [1, 1], "gradient": lambda q: q}, "gradient is given without potential"),
         ({"mass": [1, 1], "hessian": lambda q: q}, "hessian is given without potential"),
-        ({"mass": [1, 1], "forms_velocity_derivative": lambda q, v: q}, "without forms"),
+        ({"mass": [1, 1], "mu_v_q": lambda q, v: q}, "without mu"),
         ({"mass": [1, 1], "potential": 3.0}, "potential = 3.0: expected a function"),
-        ({"mass": [1, 1], "forms": lambda q: [1, 0]}, r"forms returned \(2,\): .*\(m, 2\)"),
-        ({"mass": [1, 1], "forms": lambda q: np.ones((3, 2))}, "m = 3"),
-        ({"mass": [1, 1], "m": 1}, "expected forms or"),
+        ({"mass": [1, 1], "mu": lambda q: [1, 0]}, r"mu returned \(2,\): .*\(m, 2\)"),
+        ({"mass": [1, 1], "mu": lambda q: np.ones((3, 2))}, "m = 3"),
+        ({"mass": [1, 1], "m": 1}, "expected mu or"),
         ({"mass": 1, "n": "a"}, "n = .a.: expected an integer"),
         ({"mass": 1, "n": -1}, "n = -1: expected at least 1"),
         ({"mass": 1, "n": 2**62}, f"n = {2**62}: expected at most 10000"),
         ({"mass": 1, "n": 2, "invariants": {"p": None}}, r"invariants\['p'\] = None: expected a"),
-        ({"mass": [1, 1], "m": 1.5, "forms": lambda q: [[1, 0]]}, "m = 1.5: expected an integer"),
+        ({"mass": [1, 1], "m": 1.5, "mu": lambda q: [[1, 0]]}, "m = 1.5: expected an integer"),
         ({"mass": 1, "n": 2, "name": 3}, "name = 3: expected a string"),
         ({"mass": 1, "n": 2, "source": b"x"}, "source = b'x': expected a string"),
         ({"mass": 1, "n": 2, "formulas": [3]}, r"formulas = \[3\]: expected several lines"),
@@ -357,8 +374,8 @@ def test_pickle_of_the_users_own(own):
 def test_pickle_of_a_lambda_says_which():
     system = dal.System(
         mass=[1, 1, 1],
-        forms=particle_forms,
-        forms_velocity_derivative=particle_derivative,
+        mu=particle_forms,
+        mu_v_q=particle_derivative,
         potential=lambda q: 0.0,
         name="local",
     )

@@ -78,11 +78,11 @@ class Functions:
     def __init__(self, growth=0.0, sway=SWAY):
         self.growth, self.sway = growth, sway
 
-    def forms(self, t, q):
+    def mu(self, t, q):
         psi = q[2] + TURN * t
         return [[np.sin(psi), -np.cos(psi), 0]]
 
-    def forms_velocity_derivative(self, t, q, v):
+    def mu_v_q(self, t, q, v):
         psi = q[2] + TURN * t
         return [[0, 0, np.cos(psi) * v[0] + np.sin(psi) * v[1]]]
 
@@ -93,13 +93,13 @@ class Functions:
         return [[0, 0, -np.cos(q[2] + TURN * t) * self.sway * np.cos(2 * t)]]
 
     def constraint(self, t, q, v):
-        return np.array(self.forms(t, q)) @ v + self.affine(t, q)
+        return np.array(self.mu(t, q)) @ v + self.affine(t, q)
 
     def constraint_v(self, t, q, v):
-        return self.forms(t, q)
+        return self.mu(t, q)
 
     def constraint_q(self, t, q, v):
-        return np.add(self.forms_velocity_derivative(t, q, v), self.affine_derivative(t, q))
+        return np.add(self.mu_v_q(t, q, v), self.affine_derivative(t, q))
 
     def constraint_t(self, t, q, v):
         psi, w = q[2] + TURN * t, self.sway * np.cos(2 * t)
@@ -137,7 +137,7 @@ class Functions:
     def lagrangian_vt(self, t, q, v):
         return self.growth * self.lagrangian_v(t, q, v)
 
-    LINEAR = ("forms", "forms_velocity_derivative", "constraint_t")
+    LINEAR = ("mu", "mu_v_q", "constraint_t")
     AFFINE = (*LINEAR, "affine", "affine_derivative")
     NONLINEAR = ("constraint", "constraint_v", "constraint_q", "constraint_t")
     SIMPLE = ("potential", "gradient", "hessian")
@@ -159,7 +159,7 @@ EVERY = {
     "nonlinear": (0.0, SWAY, lambda: Functions().system(*Functions.NONLINEAR, "potential")),
     "general": (0.3, SWAY, lambda: Functions(0.3).system(*Functions.AFFINE, *Functions.GENERAL)),
     "differences": (
-        0.3, SWAY, lambda: Functions(0.3).system("forms", "affine", *Functions.GENERAL[:3])
+        0.3, SWAY, lambda: Functions(0.3).system("mu", "affine", *Functions.GENERAL[:3])
     ),
 }  # fmt: skip
 
@@ -446,13 +446,13 @@ def test_a_system_whose_time_cancels_is_none_of_it(in_python):
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"forms": lambda q: [[1, 0]]}, r"forms is a function of \(q\): expected a function"),
+        ({"mu": lambda q: [[1, 0]]}, r"mu is a function of \(q\): expected a function"),
         ({"potential": lambda q: 0.0}, r"potential is a function of .* \(t, q\)"),
         ({"gradient": lambda t, q: [0, 0]}, r"gradient is given without potential\(t, q\) -> V"),
-        ({"constraint_t": lambda t, q, v: [0]}, "constraint_t is given without forms"),
+        ({"constraint_t": lambda t, q, v: [0]}, "constraint_t is given without mu"),
         ({"lagrangian_vt": lambda t, q, v: [0, 0]}, r"without lagrangian\(t, q, v\)"),
         ({"invariants": {"p": lambda q, v: 0.0}}, r"p is a function of \(q, v\)"),
-        ({"forms": lambda t, q: [[1, 0]], "steady": True}, "steady"),
+        ({"mu": lambda t, q: [[1, 0]], "steady": True}, "steady"),
         *(
             ({x: lambda t, q, v: [0], "time_dependent": False}, f"{x} is .*: expected time_dep")
             for x in ("constraint_t", "lagrangian_vt")

@@ -38,7 +38,7 @@ def forms(q):
 
 def own(**units):
     return dal.System(
-        mass=[1, 1, 1], forms=forms, coordinates="xyz", q0=[0, 1, 0], v0=[1, 1, 1], units=units
+        mass=[1, 1, 1], mu=forms, coordinates="xyz", q0=[0, 1, 0], v0=[1, 1, 1], units=units
     )
 
 
