@@ -223,8 +223,8 @@ typedef struct dal_system_def {
     dal_invariant_fn invariant;
     size_t ctx_size;                /* 0: ctx is borrowed; else it is copied */
     const struct dal_compiled *compiled; /* the step routine compiled for this system, or NULL.  It
-                                            computes the steps of moved nodes.  Only for constant
-                                            mass, linear constraints, no force, nothing missing */
+                                            computes the steps of moved nodes.  Not with a sparsity
+                                            or missing derivatives */
     int steady;                     /* a dal_steady or 0; nonzero only for constant mass, linear
                                        constraints, and not time_dependent */
     int time_dependent;             /* 1: a callback besides the force depends on t, and provides

@@ -73,8 +73,8 @@ void dal__cholesky_solve(size_t n, const double *factor, double *x);
 
 /* ---- linear equations ---------------------------------------------------------------------- */
 
-/* Rows and columns that have nothing to do with those of other blocks, with all entries within
- * width of the diagonal; or with width = size, all of them stored. */
+/* A diagonal block, decoupled from the others, with all entries within width of the diagonal; or
+ * with width = size, all of them stored. */
 typedef struct dal__block {
     size_t begin, size, width;
     size_t offset; /* of its entries */
@@ -101,8 +101,8 @@ int dal__band_factor(size_t m, size_t width, double *A, double *sizes, size_t *r
 void dal__band_solve(const dal_lu_factors *self, const double *b, double *x);
 void dal__band_solve_transposed(const dal_lu_factors *self, double *b, double *x);
 
-/* A regular matrix.  Whoever fills A says of what size its rows and columns are; or has them found
- * by dal__linear_balance.  A smaller size than was reserved may be set before, but of a pattern. */
+/* A regular matrix.  Set the sizes of its rows and columns with A, or by dal__linear_balance.  A
+ * size smaller than the reserved one may be set first, except with a pattern. */
 typedef struct dal__linear {
     size_t size;
     const dal__pattern *pattern; /* or NULL: all entries may be other than 0 */

@@ -167,7 +167,7 @@ static void add_mass(const dal_mechanics *mech, double *K, double *sizes)
 }
 
 /* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend; never asked
- * for if mech is lean. */
+ * for if mech is sparse. */
 static void build_K(const dal_mechanics *mech, double *K, double *K_sizes)
 {
     const size_t n = mech->n;
@@ -204,7 +204,7 @@ double dal__step_moves(const dal_mechanics *mech)
     const bool linear = mech->eval.system->def.kind == DAL_LINEAR;
     double sum = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q,
                                  linear ? NULL : mech->forms.phi_t, mech->start.end);
-    for (size_t k = 0; alpha != 0.0 && !mech->eval.lean && k < n * n; k++) {
+    for (size_t k = 0; alpha != 0.0 && !mech->eval.sparse && k < n * n; k++) {
         double slope = mech->eval.constant_mass ? 0.0 : fabs(mech->L_vq[k]);
         if (b != 0.0) slope += fabs(b * mech->hessian[k]);
         if (b != 0.0 && mech->eval.system->def.force) slope += fabs(b * mech->f_q[k]);
@@ -232,7 +232,7 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     if (status) return status;
     /* nothing is written before all of it is known */
     if (R1) build_R1(mech, kappa, R1);
-    if (R1 && (K || mech->eval.lean)) mech->start.base = base_of_R1(mech, kappa);
+    if (R1 && (K || mech->eval.sparse)) mech->start.base = base_of_R1(mech, kappa);
     if (R2) dal__copy(mech->m, mech->forms.phi, R2);
     if (K) build_K(mech, K, K_sizes);
     if (B) dal__move(entries, mech->forms.mu, a, mech->forms.dmu, B);
@@ -259,18 +259,18 @@ int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *wo
     return DAL_SUCCESS;
 }
 
-/* The same for a mechanics that is lean, by one that is not. */
-static int with_all_entries(dal_mechanics *lean, double t, double beta, double h, const double *x,
+/* The same for a mechanics that is sparse, by one that is not. */
+static int with_all_entries(dal_mechanics *sparse, double t, double beta, double h, const double *x,
                             const double *w, const double *kappa, double *R1, double *R2, double *K,
                             double *B, double *muk)
 {
     dal_mechanics *whole;
-    const dal_system *const system = lean->eval.system;
-    int status = dal__mechanics_new(&whole, system, true, &lean->error);
+    const dal_system *const system = sparse->eval.system;
+    int status = dal__mechanics_new(&whole, system, true, &sparse->error);
     if (status) return status;
-    dal__copy(system->def.inputs, lean->eval.own_input, whole->eval.own_input);
+    dal__copy(system->def.inputs, sparse->eval.own_input, whole->eval.own_input);
     status = dal_step_equations(whole, t, beta, h, x, w, kappa, R1, R2, K, B, muk);
-    lean->error = whole->error;
+    sparse->error = whole->error;
     dal_mechanics_free(whole);
     return status;
 }
@@ -280,7 +280,7 @@ int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h
                        double *B, double *muk)
 {
     if (!mechanics) return DAL_EINVAL;
-    if (mechanics->eval.lean)
+    if (mechanics->eval.sparse)
         return with_all_entries(mechanics, t, beta, h, x, w, kappa, R1, R2, K, B, muk);
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n, m = mech->m;

@@ -5,9 +5,9 @@
 #include "dalembert/geometry.h"
 #include "system/system.h"
 
-/* M at one (t, q, v), and what solving with it needs.  That of constant mass is the system's: it
- * stands for ever, and nobody writes it.  Else it is that of the last function which says that it
- * forms the metric, and of no use after one of these has failed. */
+/* M at one (t, q, v), and the data to solve with it.  For constant mass it is the system's:
+ * read-only, valid for the life of the system.  Otherwise it is that of the last function that
+ * builds the metric, and invalid after one of these has failed. */
 typedef struct dal__metric {
     double *M;                    /* [n*n], or [n] of masses */
     bool masses;
@@ -48,8 +48,8 @@ typedef struct dal__start {
 
 /* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation.
  * First the values that belong together, then what any function here may overwrite.  Where there
- * are eval.rows, mu and what has [m*n] here is stored by these rows; whoever wants all entries sets
- * eval.dense before. */
+ * are eval.rows, mu and the other arrays of [m*n] are stored by these rows; set eval.dense first to
+ * get dense matrices. */
 struct dal_mechanics {
     evaluator eval;
     size_t n, m;
@@ -63,10 +63,10 @@ struct dal_mechanics {
     double *point;                /* [2n] the state that is projected; of energy_jump.c too */
     double t, shift;              /* its time; the D or D_eps of this shift */
     double relative;              /* the residual of what dal_project left in D */
-    double *hessian;              /* [n*n]: L_qq, or V_qq; NULL if lean */
+    double *hessian;              /* [n*n]: L_qq, or V_qq; NULL if sparse */
     double *L_vt;                 /* [n], and */
     double *L_vq, *L_vv;          /* [n*n]; NULL for constant mass */
-    double *f_q, *f_v;            /* [n*n]; NULL without a force, or if lean */
+    double *f_q, *f_v;            /* [n*n]; NULL without a force, or if sparse */
     /* of the equations of a step */
     double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
     double *node, *muk;           /* [n], [m*n] q_k, mu_k */

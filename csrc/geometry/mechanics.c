@@ -5,22 +5,22 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
 {
     const size_t n = system->def.n, m = system->def.m;
     dal__evaluator_reserve(&mech->eval, system, a);
-    const bool lean = mech->eval.lean, nonlinear = system->def.kind == DAL_NONLINEAR;
+    const bool sparse = mech->eval.sparse, nonlinear = system->def.kind == DAL_NONLINEAR;
     const size_t mn = dal__entries(&mech->eval), nn = dal__times(n, n), twice = dal__times(2, n);
     DAL__RESERVE(a, n, &mech->forms.q, &mech->force, &mech->w, &mech->step, &mech->momentum,
                  &mech->reach, &mech->node, &mech->trial, &mech->place);
     DAL__RESERVE(a, m, &mech->forms.phi, &mech->forms.phi_t, &mech->forms.moves, &mech->lambda);
     DAL__RESERVE(a, mn, &mech->forms.mu, &mech->forms.dmu, &mech->gram.Z, &mech->muk);
-    if (!lean) DAL__RESERVE(a, nn, &mech->hessian);
+    if (!sparse) DAL__RESERVE(a, nn, &mech->hessian);
     DAL__RESERVE(a, twice, &mech->point);
-    dal__linear_reserve_pattern(&mech->gram.C, m, lean ? system->pattern : NULL, a);
+    dal__linear_reserve_pattern(&mech->gram.C, m, sparse ? system->pattern : NULL, a);
     if (!system->mass) {
         dal__metric *const metric = &mech->metric;
         DAL__RESERVE(a, n, &metric->unit, &metric->per_unit, &mech->L_vt);
         DAL__RESERVE(a, nn, &metric->M, &metric->factor, &mech->L_vq, &mech->L_vv);
         DAL__RESERVE(a, twice + 1, &metric->formed_at);
     }
-    if (system->def.force && !lean) DAL__RESERVE(a, nn, &mech->f_q, &mech->f_v);
+    if (system->def.force && !sparse) DAL__RESERVE(a, nn, &mech->f_q, &mech->f_v);
     if (nonlinear) DAL__RESERVE(a, mn, &mech->chetaev);
     if (nonlinear) DAL__RESERVE(a, nn, &mech->bend);
 }

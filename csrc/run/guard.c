@@ -19,7 +19,7 @@
  * The error is INFINITY if no other step converges.
  *
  * A part of the run is estimated after a reset (case 2), and in a resumed run.  Its error is no
- * estimate for the whole run, and is reported only if it is LARGE: then h is too large.
+ * estimate for the whole run, and is reported only if it exceeds DAL_LARGE_ERROR.
  *
  * Inputs may change from step to step, so that r > 1 is impossible: windows use r = 1/2, then
  * case 3 applies.  The motion is restored afterwards: see remake.c. */
@@ -41,7 +41,6 @@ enum {
 };
 static const double SUSPECTED = 0.002, CHANGED = 0.01, TOILED = 2.5;
 static const double CLEAR = 0.01, NEAR = 0.15; /* the error; the difference that shows it */
-static const double LARGE = 0.05;      /* an error that means that h is too large */
 static const double GROWN = 10.0;      /* growth of the sizes since the last window */
 static const double SMALL = 1e-3;      /* least size, by the largest of the q, or of the v */
 static const double RESOLUTION = 1e-9; /* least size, relative to the largest coordinate */
@@ -365,10 +364,10 @@ static bool apply_jump(dal_stepper *stepper)
     return dal__stepper_enter_D(stepper) == DAL_SUCCESS;
 }
 
-/* Discard the error of a part of the run, unless steps computed again show that it is LARGE. */
+/* Discard the error of a part of the run, unless steps computed again show that h is too large. */
 static void discard_part(dal__guard *g)
 {
-    if (g->whole ? g->piece == 0 || g->error > LARGE : g->begin == 0) return;
+    if (g->whole ? g->piece == 0 || g->error > DAL_LARGE_ERROR : g->begin == 0) return;
     g->error = (double)NAN;
     g->whole = false;
 }

@@ -17,7 +17,7 @@ int dal__run_callback_status(const dal_run *run, const char *name, int returned)
                      run->stepper->motion.steps);
 }
 
-/* A row of roundoff at the end of the run is none. */
+/* A row that would start within roundoff of the end starts at the end. */
 double dal__run_begin_of_inputs(const dal_run *run, size_t k)
 {
     const double t = run->t_begin + (double)k * run->input_duration;

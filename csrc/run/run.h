@@ -14,7 +14,7 @@
 int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made);
 /* The states at the times of a run that makes no steps. */
 void dal__events_no_steps(dal_run *run);
-/* As they were when they were made: for a new run. */
+/* Resets all guards for a new run. */
 void dal__events_forget(dal_events *events);
 /* DAL_EINVAL for what is wrong with the events and the times of a run. */
 int dal__events_check(const dal_run *run);
@@ -48,9 +48,8 @@ int dal__journal_times(const dal_run *run, size_t before);
 double *dal__journal_reaction(const dal_run *run);
 /* Before steps that follow a failed one: a snapshot, for their predictor may have seen that. */
 int dal__journal_begin(const dal_run *run);
-/* After some steps: a snapshot, if it is time for one.  At the end of a call with a
- * status: what is left, and, unless a step has failed, a snapshot if it is time for one, or the run
- * is over. */
+/* After some steps: writes a snapshot when due.  At the end of a call with a status: flushes
+ * pending records; unless a step failed, also writes a snapshot when due or at the end. */
 int dal__journal_look(const dal_run *run, size_t made);
 int dal__journal_pause(const dal_run *run, int status);
 
@@ -62,7 +61,7 @@ size_t dal__guard_stop(const dal_run *run);
 void dal__guard_look(dal_run *run);
 void dal__guard_check(dal_run *run, size_t budget);
 
-/* The status of a function of the user that watches the run, by this name. */
+/* Maps the return value of a user callback to a status; name is used in the message. */
 int dal__run_callback_status(const dal_run *run, const char *name, int returned);
 
 #endif /* DAL__RUN_H */

@@ -29,7 +29,7 @@ typedef struct beta {
 } beta;
 
 /* Whether mu is stored by rows. */
-static bool has_rows(const dal_system *system) { return system->lean && system->rows; }
+static bool has_rows(const dal_system *system) { return system->sparse && system->rows; }
 
 /* Whether the system has a step routine of its own, with the callbacks inside, for the steps. */
 static bool is_inside(const dal_system *system, const dal_scheme *scheme)
@@ -49,7 +49,7 @@ static dal_kernel_fn find_routine(const dal_system *system, const dal_scheme *sc
 /* Whether the step routine needs no matrix of n rows. */
 static bool is_slim(const dal_system *system, dal_kernel_fn routine)
 {
-    return system->lean && routine == dal__kernel_any(false);
+    return system->sparse && routine == dal__kernel_any(false);
 }
 
 bool dal__has_pairs(const dal_system *system)
@@ -369,7 +369,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->mass_inverse = self->mass ? self->mass_inverse : system->mass_inverse;
     k->at.rows = has_rows(system) ? system->rows : NULL;
     k->at.next = slim ? 1 : k->n + 1;
-    k->at.dragged = system->lean && dal__is_dragged(system);
+    k->at.dragged = system->sparse && dal__is_dragged(system);
     k->measure = measure;
     k->factor = factor_rows;
     k->solve = solve_rows;

@@ -1,11 +1,11 @@
 /* Error-controlled steps: each as long as its estimated error allows.
  *
  * The embedded estimate e = O(h^(q+1)) costs nothing, and says too much: the error of a step is
- * O(h^(p+1)), some 1e2 to 1e6 times less, as the system and its motion want it.  So the error is
+ * O(h^(p+1)), some 1e2 to 1e6 times less, depending on the system and its motion.  So the error is
  * taken as c e^a, a = (p+1)/(q+1), with a factor c that is measured now and then: two steps are
  * compared with one of twice the length, whose error is 2^p times theirs, far above roundoff.
  *
- * The tolerance is that of the state after some hundred steps: of one step it is a part.
+ * The tolerance is for the state after some hundred steps; one step may use only a part of it.
  *
  * A step begins where the one before ended, at t0, and its h is the difference of two times, t0 and
  * the rounded t0 + h: so times do not gather roundoff, whatever the steps. */

@@ -14,10 +14,10 @@
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m;
-    const bool lean = system->lean && !system->curved;
+    const bool sparse = system->sparse && !system->full_newton;
     solver->whole.eval.dense = true;
-    if (system->curved) dal__mechanics_reserve(&solver->whole, system, a);
-    const size_t mn = lean && system->rows ? dal_rows_entries(system->rows) : dal__times(m, n);
+    if (system->full_newton) dal__mechanics_reserve(&solver->whole, system, a);
+    const size_t mn = sparse && system->rows ? dal_rows_entries(system->rows) : dal__times(m, n);
     double **const vectors[] = {&solver->rate, &solver->R1, &solver->y};
     double **const multipliers[] = {&solver->lambda, &solver->R2, &solver->r};
     double **const unknowns[] = {&solver->z, &solver->step};
@@ -27,8 +27,8 @@ void dal__newton_reserve(newton *solver, const dal_system *system, arena *a)
     dal__reserve(a, &solver->x, dal__times(2, n), sizeof(double));
     dal__reserve(a, &solver->B, mn, sizeof(double));
     dal__reserve(a, &solver->KZ, mn, sizeof(double));
-    if (!lean) dal__linear_reserve(&solver->K, n, a);
-    dal__linear_reserve_pattern(&solver->S, m, lean ? system->pattern : NULL, a);
+    if (!sparse) dal__linear_reserve(&solver->K, n, a);
+    dal__linear_reserve_pattern(&solver->S, m, sparse ? system->pattern : NULL, a);
 }
 
 void dal__newton_bind(newton *solver, const dal_system *system, int max_iterations)
@@ -36,7 +36,7 @@ void dal__newton_bind(newton *solver, const dal_system *system, int max_iteratio
     solver->n = system->def.n;
     solver->m = system->def.m;
     solver->max_iterations = max_iterations;
-    if (system->curved) dal__mechanics_bind(&solver->whole, system);
+    if (system->full_newton) dal__mechanics_bind(&solver->whole, system);
 }
 
 void dal__newton_forget(newton *solver) { solver->warm = false; }
@@ -111,7 +111,7 @@ static int solve_linear(newton *s, int *sign)
     double *const d = s->step + n;
     for (size_t i = 0; i < n; i++) s->R1[i] = -s->R1[i];
     *sign = 1;
-    if (mech->eval.lean) divide_by_mass(s);
+    if (mech->eval.sparse) divide_by_mass(s);
     else *sign = divide_by_K(s);
     if (*sign == 0)
         return dal__fail(&mech->error, DAL_ESINGULAR, "the derivative K of the equations of motion "
@@ -136,9 +136,9 @@ static int solve_linear(newton *s, int *sign)
 static int find_step(dal__newton *equations)
 {
     newton *const s = equations->ctx;
-    const bool lean = s->mech->eval.lean;
-    int status = dal__step_at(s->mech, s->z, s->z + s->n, s->R1, s->R2, lean ? NULL : s->K.A,
-                              lean ? NULL : s->K.sizes, s->B);
+    const bool sparse = s->mech->eval.sparse;
+    int status = dal__step_at(s->mech, s->z, s->z + s->n, s->R1, s->R2, sparse ? NULL : s->K.A,
+                              sparse ? NULL : s->K.sizes, s->B);
     if (!status) status = solve_linear(s, &equations->sign);
     if (status) return status;
     equations->base = s->mech->start.base;
@@ -200,10 +200,10 @@ int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, 
 {
     newton *const s = solver;
     evaluator *const given = &mech->eval, *const own = &s->whole.eval;
-    const bool curved = given->system->curved;
-    s->mech = curved ? &s->whole : mech;
+    const bool full_newton = given->system->full_newton;
+    s->mech = full_newton ? &s->whole : mech;
     s->stats = stats;
-    if (!curved) return make_step(s, t, end, alpha, beta, h, kept, x, kappa);
+    if (!full_newton) return make_step(s, t, end, alpha, beta, h, kept, x, kappa);
     own->input = given->input;
     own->potential_calls = given->potential_calls;
     own->constraint_calls = given->constraint_calls;

@@ -17,7 +17,7 @@ typedef struct newton {
     double inverse;                 /* log2 of 1/|det S| of the last one */
     dal_mechanics *mech;            /* of the step that is being solved */
     dal_stats *stats;
-    dal_mechanics whole;            /* which makes it, with all entries and K, of curved systems */
+    dal_mechanics whole;            /* for full_newton: with all entries and K */
 } newton;
 
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);

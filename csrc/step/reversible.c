@@ -25,7 +25,7 @@
  * A shorter way would put roundoff into G, and a much longer one the form of the motion. */
 #define REACH 0x1p-4
 /* This h is eps over the mean of the rho before and after x, found, as the jerk is, in so many
- * passes: by the step before alone the way back would have another G. */
+ * passes.  Using only the previous step would make G differ in the reverse direction. */
 enum { PASSES = 4 };
 #define LEAST 0.02
 #define BY_SPEED 0.36 /* a rate that crosses 0 then changes by at most half of itself in a step */

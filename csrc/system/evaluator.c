@@ -294,14 +294,14 @@ size_t dal__entries(const evaluator *e)
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n;
-    const bool square = system->def.force && (e->dense || !system->lean);
+    const bool square = system->def.force && (e->dense || !system->sparse);
     e->system = system;
-    e->lean = system->lean && !e->dense;
+    e->sparse = system->sparse && !e->dense;
     DAL__RESERVE(a, n, &e->point, &e->gradient, &e->nowhere);
     if (system->def.force) DAL__RESERVE(a, n, &e->force);
     if (square) DAL__RESERVE(a, dal__times(n, n), &e->slopes, &e->drag);
     DAL__RESERVE(a, system->def.inputs, &e->own_input);
-    e->rows = e->lean ? system->rows : NULL;
+    e->rows = e->sparse ? system->rows : NULL;
     DAL__RESERVE(a, dal__entries(e), &e->forms);
 }
 
@@ -452,7 +452,7 @@ bool dal__is_autonomous(const dal_system *system)
 
 bool dal__has_momenta(const dal_system *system)
 {
-    if (system->lean) return false;
+    if (system->sparse) return false;
     return !system->mass || system->def.kind != DAL_LINEAR || dal__is_dragged(system);
 }
 

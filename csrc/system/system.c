@@ -218,7 +218,7 @@ static void plan(arena *a, possessions *own, dal_system *shape, const dal_system
 
 /* Whether V_qq, f_q and f_v are given, as far as there is something to differentiate, and matrices
  * of n rows cost no more than some megabytes and milliseconds. */
-static bool is_curved(const dal_system_def *def)
+static bool has_full_newton(const dal_system_def *def)
 {
     enum { MOST = 500 };
     const unsigned of_force = DAL_MISSING_F_Q | (def->positional ? 0 : DAL_MISSING_F_V);
@@ -291,9 +291,9 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     possessions own = {0};
     dal_system shape = {.def = *def, .masses = def->masses, .ctx_size = def->ctx_size,
                         .refill = def->parameters};
-    shape.lean = shape.masses && def->kind == DAL_LINEAR
+    shape.sparse = shape.masses && def->kind == DAL_LINEAR
               && (def->sparsity || !(def->potential || def->force));
-    shape.curved = shape.lean && is_curved(def);
+    shape.full_newton = shape.sparse && has_full_newton(def);
     plan(&memory, &own, &shape, def);
     status = dal__allocate(&memory, error);
     if (status) return status;
@@ -314,7 +314,7 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     if (dal__has_mass(def)) status = dal__bind_mass(self, error);
     if (def->sparsity) bind_sparsity(self, &own, def->sparsity);
     if (!status && self->colour) status = colour_columns(self, error);
-    if (!status && self->lean && self->rows)
+    if (!status && self->sparse && self->rows)
         status = dal__pattern_new(&self->pattern, self->rows, error);
     if (status) {
         dal_system_free(self);

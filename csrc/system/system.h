@@ -24,14 +24,14 @@ struct dal_system {
     double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;           /* M is diagonal, and */
     bool masses;             /* given so */
-    bool lean;               /* steps need no matrix of n rows: M is given by masses, constraints
+    bool sparse;             /* steps need no matrix of n rows: M is given by masses, constraints
                                 are linear, and there is neither V nor a force, or their derivatives
                                 are not asked for */
-    bool curved;             /* but for a step that does not contract: these derivatives are given,
-                                and n is small */
+    bool full_newton;        /* except for a step that does not contract: these derivatives are
+                                given, and n is small */
     dal_rows *rows;          /* of the sparsity, or NULL */
     size_t *colour, colours; /* [n] and how many, if phi_q is missing too: see evaluator.c */
-    dal__pattern *pattern;   /* of mu M^-1 mu^T for these rows, if lean */
+    dal__pattern *pattern;   /* of mu M^-1 mu^T for these rows, if sparse */
     const struct builtin *record; /* of a built-in system, or NULL */
     size_t parameters;       /* of it: so many doubles at the beginning of ctx, and what is wrong
                                 with others (DAL_EINVAL) */
@@ -62,7 +62,7 @@ typedef struct evaluator {
     dal_field_fn field;         /* compiled for the system, or NULL */
     bool constant_mass;
     bool dense;                 /* phi_v and phi_q with all entries, of any system: set before */
-    bool lean;                  /* of a lean system, unless dense; */
+    bool sparse;                /* of a sparse system, unless dense; */
     const dal_rows *rows;       /* phi_v and phi_q have the entries of these, then and if any */
     const char *refused;        /* the callback for which potential_force or dal__balance failed */
     const double *input;        /* [inputs] of the force and the constraint: */

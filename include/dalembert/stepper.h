@@ -9,6 +9,9 @@
 extern "C" {
 #endif
 
+/* If the error of dal_stats exceeds this, h is too large. */
+#define DAL_LARGE_ERROR 0.05
+
 /* <cdef> */
 /* ---- steppers -------------------------------------------------------------------------- */
 
@@ -82,10 +85,11 @@ typedef struct dal_stats {
     double error;               /* approximate error of the state at the end of a run, relative to
                                    its size: the range of a q, the largest |v|.  It uses `remade`
                                    steps of another size.  With whole = 1 they repeat the run or its
-                                   first 131072 steps; above 0.05, h is too large.  With whole = 0
-                                   they repeat samples; the sum of their errors usually exceeds the
-                                   error.  With whole = 2 they repeat the steps since a reset or a
-                                   resume; their error is reported only if it is above 0.05.
+                                   first 131072 steps; h is too large if the error exceeds
+                                   DAL_LARGE_ERROR.  With whole = 0 they repeat samples; the sum of
+                                   their errors usually exceeds the error.  With whole = 2 they
+                                   repeat the steps since a reset or a resume; their error is
+                                   reported only if it exceeds DAL_LARGE_ERROR.
                                    INFINITY: steps of h/2 failed, and those of h are suspect.
                                    NAN: no estimate, see dal_run */
     size_t remade, whole;

@@ -53,6 +53,9 @@ extern "Python" int dal_py_happened(size_t event, size_t step, double t, const d
                                     const double *after, void *ctx);
 """
 
+# Macros whose values are no integers.
+CONSTANTS = "static const double DAL_LARGE_ERROR;\n"
+
 # For tests and benchmarks alone, as is what private headers have between the marks: the steps of a
 # stepper are made by the compilation for any sizes.
 FOR_TESTS = "void dal__beta_any_sizes(dal_stepper *stepper);\n"
@@ -84,7 +87,7 @@ def write_extension(headers: list[Path], output: Path) -> None:
     public = [header for header in headers if header.is_relative_to(root)]
     texts = {header: declarations(header.read_text(encoding="utf-8")) for header in headers}
     own = "".join(text for header, text in texts.items() if header not in public) + FOR_TESTS
-    ffi.cdef("".join(texts[header] for header in public) + TRAMPOLINES + own)
+    ffi.cdef("".join(texts[header] for header in public) + CONSTANTS + TRAMPOLINES + own)
     names = [header.relative_to(root) for header in public]
     ffi.set_source("dalembert._core", "".join(f"#include <{name}>\n" for name in names) + own)
     ffi.emit_c_code(str(output))

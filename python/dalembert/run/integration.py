@@ -344,7 +344,6 @@ def _warn_of_drift(solution: Solution) -> None:
 
 LARGE = 1e9  # below it doubles have seven digits behind the point
 COARSE = 1e-3  # of the acceleration, from one double to the next
-LARGE_ERROR = 0.05  # of the last state, relative to its size
 
 
 def _at(solution: Any) -> str:
@@ -388,7 +387,7 @@ def doubts(solution: Any) -> Iterator[str]:
             f"than {bound:.1e}, because the kept nodes are so far from the origin that "
             "rounding dominates"
         )
-    if stats.whole and stats.error > LARGE_ERROR:
+    if stats.whole and stats.error > lib.DAL_LARGE_ERROR:
         how = solution._how
         least = "at least " if stats.whole == 2 else ""
         size = f"{least}about {100 * stats.error:.0f} % of its size"

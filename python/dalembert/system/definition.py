@@ -174,8 +174,7 @@ class SystemOptions(InC, Motion, Names, About, Forces, Constraints, Lagrangian, 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Formulas(Record):
     L: Any = field(metadata=meaning("sympy.Expr", """
-        The Lagrangian.  The fast step routine is used if it is v^T M v / 2 - V(q) with constant
-        M."""))
+        The Lagrangian.  Steps are fastest if it is v^T M v / 2 - V(q) with constant M."""))
     constraints: Any = option("sequence", """
         Each constraint is an expression that vanishes or an ``Eq``, and is linear, affine or
         nonlinear in the velocities.  A list of n coefficients, or a row of a matrix, is a

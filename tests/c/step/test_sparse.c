@@ -18,7 +18,7 @@ typedef struct chain {
     double unit;   /* of the first row, and of each third; 0: 1 */
     bool far;      /* the last blade hangs on the first */
     bool free;     /* no constraint pushes a heading */
-    bool curved;   /* V_qq, f_q and, if f depends on v, f_v are given */
+    bool full_newton; /* V_qq, f_q and, if f depends on v, f_v are given */
     bool sparse, masses; /* how it is told: the kinds below */
 } chain;
 
@@ -109,7 +109,7 @@ static int chain_potential(double t, const double *q, double *V, double *V_q, do
     const size_t n = 3 * c->links;
     (void)t;
     calls.potential++;
-    if (V_qq && !c->curved) return -1; /* it is not asked for */
+    if (V_qq && !c->full_newton) return -1; /* it is not asked for */
     if (V) *V = 0.0;
     for (size_t k = 0; V_qq && k < n * n; k++) V_qq[k] = 0.0;
     for (size_t i = 0; V_q && i < n; i++) V_q[i] = 0.0;
@@ -143,7 +143,7 @@ static int chain_force(double t, const double *q, const double *v, const double 
     const chain *const c = ctx;
     const size_t n = 3 * c->links;
     calls.force++;
-    if (refusing || ((f_q || f_v) && !c->curved)) return -1; /* they are not asked for */
+    if (refusing || ((f_q || f_v) && !c->full_newton)) return -1; /* they are not asked for */
     if (f_v && c->drag == 0.0) return -1;
     for (size_t k = 0; k < n * n; k++) {
         if (f_q) f_q[k] = k % (n + 1) == 0 ? c->wind * cos(t + q[k / n]) : 0.0;
@@ -161,7 +161,7 @@ static int chain_force(double t, const double *q, const double *v, const double 
 
 static dal_system *open_chain(chain *c, unsigned missing)
 {
-    const unsigned of_force = DAL_MISSING_F_V | (c->curved ? 0 : DAL_MISSING_F_Q);
+    const unsigned of_force = DAL_MISSING_F_V | (c->full_newton ? 0 : DAL_MISSING_F_Q);
     const size_t n = 3 * c->links;
     double masses[MOST_COORDINATES], mass[MOST_COORDINATES * MOST_COORDINATES] = {0.0};
     const double zero[MOST_COORDINATES] = {0.0};
@@ -181,7 +181,7 @@ static dal_system *open_chain(chain *c, unsigned missing)
         .potential = c->stiffness != 0.0 ? chain_potential : NULL,
         .force = forced ? chain_force : NULL, .inputs = forced,
         .positional = forced && c->drag == 0.0,
-        .missing = missing | (!forced || (c->curved && c->drag != 0.0) ? 0 : of_force),
+        .missing = missing | (!forced || (c->full_newton && c->drag != 0.0) ? 0 : of_force),
         .kind = c->shift != 0.0 ? DAL_AFFINE : DAL_LINEAR,
         .steady = c->free ? DAL_STEADY_DECLARED : 0,
         .masses = c->masses ? masses : NULL, .mass = c->masses ? NULL : mass,
@@ -194,7 +194,7 @@ static dal_system *open_kind(chain c, size_t kind)
 {
     c.sparse = kinds[kind].sparse;
     c.masses = kinds[kind].masses;
-    return open_chain(&c, c.stiffness != 0.0 && !c.curved ? DAL_MISSING_V_QQ : 0);
+    return open_chain(&c, c.stiffness != 0.0 && !c.full_newton ? DAL_MISSING_V_QQ : 0);
 }
 
 static void open_kinds(const chain *c, dal_system *systems[KINDS])
@@ -243,7 +243,7 @@ static const char *const schemes[] = {
 /* Of the residual: by rows it does not grow with n. */
 static double bound_of(const dal_system *system)
 {
-    const bool rows = system->lean && system->rows;
+    const bool rows = system->sparse && system->rows;
     if (rows) CHECK(system->rows->terms <= 9);
     return 4.0 * (double)(rows ? system->rows->terms : system->def.n) * U;
 }
@@ -291,9 +291,9 @@ static void test_steps(const chain *c, double angle)
 static const chain large[] = {
     {.links = 6, .stiffness = 2.0, .coupling = 0.4},
     {.links = 6, .stiffness = 2.0, .coupling = 0.4, .drag = 2.0},
-    {.links = 6, .stiffness = 2.0, .coupling = 0.4, .curved = true},
-    {.links = 6, .stiffness = 2.0, .coupling = 0.4, .wind = 2.0, .curved = true},
-    {.links = 6, .stiffness = 2.0, .coupling = 0.4, .wind = 1.0, .drag = 2.0, .curved = true},
+    {.links = 6, .stiffness = 2.0, .coupling = 0.4, .full_newton = true},
+    {.links = 6, .stiffness = 2.0, .coupling = 0.4, .wind = 2.0, .full_newton = true},
+    {.links = 6, .stiffness = 2.0, .coupling = 0.4, .wind = 1.0, .drag = 2.0, .full_newton = true},
     {.links = 6, .coupling = 0.4},
     {.links = 6, .stiffness = 2.0, .coupling = 0.4, .unit = 0x1p-90},
 };
@@ -305,7 +305,8 @@ static void test_large_steps(const chain *c, size_t kind)
     dal_system *systems[2] = {open_kind(*c, 0), open_kind(*c, kind)};
     double x0[2 * MOST_COORDINATES];
     const size_t n = 3 * c->links;
-    const bool whole = c->curved || !systems[1]->lean || !(systems[1]->def.potential || c->drag);
+    const bool whole = c->full_newton || !systems[1]->sparse
+                    || !(systems[1]->def.potential || c->drag);
     const double u = 0.3;
     size_t compared = 0, refused = 0, left = 0;
     start_of(systems[0], 0.0, x0);
@@ -587,18 +588,18 @@ static void test_which_are_lean(void)
 {
     const chain c[] = {{.links = 5, .coupling = 0.4},
                        {.links = 5, .stiffness = 1.0},
-                       {.links = 5, .stiffness = 1.0, .curved = true},
-                       {.links = 5, .wind = 1.0, .curved = true},
-                       {.links = 5, .drag = 1.0, .curved = true},
+                       {.links = 5, .stiffness = 1.0, .full_newton = true},
+                       {.links = 5, .wind = 1.0, .full_newton = true},
+                       {.links = 5, .drag = 1.0, .full_newton = true},
                        {.links = 5, .stiffness = 1.0, .wind = 1.0},
                        {.links = 5, .shift = 0.3}};
-    static const bool lean[][KINDS] = {{0, 1, 1, 0}, {0, 1, 0, 0}, {0, 1, 0, 0}, {0, 1, 0, 0},
-                                       {0, 1, 0, 0}, {0, 1, 0, 0}, {0, 0, 0, 0}};
+    static const bool sparse[][KINDS] = {{0, 1, 1, 0}, {0, 1, 0, 0}, {0, 1, 0, 0}, {0, 1, 0, 0},
+                                         {0, 1, 0, 0}, {0, 1, 0, 0}, {0, 0, 0, 0}};
     for (size_t k = 0; k < DAL_LENGTH(c); k++)
         for (size_t kind = 0; kind < KINDS; kind++) {
             dal_system *const system = open_kind(c[k], kind);
-            CHECK(system->lean == lean[k][kind]);
-            CHECK(system->curved == (c[k].curved && kind == 1));
+            CHECK(system->sparse == sparse[k][kind]);
+            CHECK(system->full_newton == (c[k].full_newton && kind == 1));
             release(system);
         }
 }
