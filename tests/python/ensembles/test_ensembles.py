@@ -633,8 +633,12 @@ def test_processes():
     values = {"m": RNG.uniform(0.5, 2, 23)}
     given = {"parameters": values, "h": 0.02, "steps": 30, "keep": ["all", "energy"]}
     here = many(system, "midpoint", **given)
+    auto = {"parameters": values, "h": "auto", "t_end": 0.5, "keep": EACH}
     with futures.ProcessPoolExecutor(2) as executor:
         there = many(system, "midpoint", executor=executor, threads=None, block=5, **given)
+        varied = many(system, executor=executor, threads=None, block=9, **auto)
+    for name, x in many(system, **auto).items():
+        assert np.array_equal(x, varied[name], equal_nan=True), name
     again = many(system, "midpoint", executor=lambda: futures.ProcessPoolExecutor(2),
                  threads=None, block=7, **given)  # fmt: skip
     for name in here:

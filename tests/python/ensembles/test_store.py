@@ -23,7 +23,9 @@ GIVEN = {"parameters": VALUES, "h": 0.01, "steps": 20, "progress": False, "threa
 
 
 def make(path=None, **more):
-    return dal.ensemble(dal.systems.sleigh(), "midpoint", store=path, **GIVEN | more)
+    given = GIVEN | more
+    scheme = "midpoint-kl8" if given["h"] == "auto" else "midpoint"
+    return dal.ensemble(dal.systems.sleigh(), scheme, store=path, **given)
 
 
 def same(one, other):
@@ -62,6 +64,24 @@ def test_a_store_has_the_same_bits(path, keep):
         for name, x in part.items():
             if name in opened:
                 assert np.array_equal(x, here[name][begin : begin + len(x)], equal_nan=True)
+
+
+def test_steps_of_variable_size_in_a_store(path):
+    given = {"h": "auto", "tolerance": 1e-6, "steps": None, "t_end": 3.0}
+    given["keep"] = ["end", "q", "energy"]
+    here, there = (make(where, **given, block=5) for where in (None, path))
+    same(here, there)
+    block(path, 2).unlink()
+    same(here, make(path, **given))
+    opened = dal.open_ensemble(path)
+    same(here, opened)
+    assert opened.h == "auto" and (opened.steps == here.done).all()
+    assert (opened.member(9).x[-1] == np.r_[here.q[9], here.v[9]]).all()
+    for name, value in (("tolerance", 1e-7), ("t_end", 4.0), ("h_max", 0.1), ("energy", "keep")):
+        with pytest.raises(ValueError, match=f"another ensemble, which differs in {name}"):
+            make(path, **given | {name: value})
+    with pytest.raises(ValueError, match="another ensemble, which differs in .*tolerance"):
+        make(path)
 
 
 def test_what_is_missing_is_made(path):
