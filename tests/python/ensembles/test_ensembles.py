@@ -174,12 +174,14 @@ def test_failures_with_steps_of_variable_size():
     assert found.success.tolist() == [True, False] and np.isnan(found.q[1]).all()
     x = dal.coordinates("x")[0]
     wall = dal.System.from_sympy(x.d**2 / 2 - sympy.log(1 - x), q0=[0], v0=[1])
-    with pytest.warns(dal.DalembertWarning, match="2 of 2 members failed"):
-        found = many(wall, None, [[0.0], [0.5]], [1.0], h="auto", t_end=5)
-    for k in range(2):
-        with pytest.raises(dal.DalembertError) as caught:
-            found.member(k, throw=True)
-        assert str(caught.value) in found.message(k) and found.t_end[k] == caught.value.t
+    for events in ([], [lambda t, q, v: q[0] + 10.0]):  # in C, and one by one
+        with pytest.warns(dal.DalembertWarning, match="2 of 2 members failed"):
+            found = many(wall, None, [[0.0], [0.5]], [1.0], h="auto", t_end=5, events=events)
+        for k in range(2):
+            with pytest.raises(dal.DalembertError) as caught:
+                found.member(k, throw=True)
+            assert str(caught.value) in found.message(k)
+            assert found.t_end[k] == caught.value.t > 0.1
 
 
 def test_expressions_with_inputs_of_each_member():

@@ -10,7 +10,7 @@ import pytest
 import sympy
 
 import dalembert as dal
-from dalembert.ensembles import api, lanes
+from dalembert.ensembles import api, block, lanes
 from dalembert.symbolic import expressions
 
 U = 2.0**-53
@@ -134,6 +134,16 @@ def test_what_has_no_lanes():
         assert not two.lanes and "in lanes" not in repr(two)
         for name in one:
             assert np.array_equal(one[name], two[name], equal_nan=True), (scheme, name)
+
+
+def test_steps_of_variable_size_have_no_lanes(monkeypatch):
+    given = {"parameters": {"a": np.linspace(0.1, 0.3, 5)}, "h": "auto", "t_end": 2}
+    one = many(dal.systems.sleigh(), lanes=False, **given)
+    with pytest.warns(dal.DalembertWarning, match="no effect, .*: with h = 'auto' each member has"):
+        two = many(dal.systems.sleigh(), **given)
+    assert not two.lanes and (one.q == two.q).all()
+    monkeypatch.setattr(block, "without_lanes", lambda *of: "")
+    assert abs(many(dal.systems.sleigh(), **given).q - one.q).max() < 1e-11  # nor in C
 
 
 def test_steps_and_step_sizes_of_members():
