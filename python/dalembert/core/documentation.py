@@ -21,7 +21,7 @@ class Shared:
 
     Parameters
     ----------
-    raised : str
+    raised : str, optional
         Names of exceptions, separated by commas.
     returns : str, optional
         The section Returns.
@@ -39,8 +39,8 @@ class Shared:
         }
         cls._reasons = cls._reasons | dict(_entries(sections.get("Raises", "")))
 
-    def __init__(self, raised: str, returns: str = "") -> None:
-        self._raised, self._returns = raised.split(", "), returns
+    def __init__(self, raised: str = "", returns: str = "") -> None:
+        self._raised, self._returns = raised.split(", ") if raised else [], returns
 
     def __call__(self, function: Function) -> Function:
         """Complete the docstring of a function, and return the function."""

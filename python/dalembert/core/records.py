@@ -16,6 +16,7 @@ from dataclasses import MISSING, dataclass
 from typing import Any, ClassVar, Concatenate, ParamSpec, Self, TypeVar
 
 from . import arguments
+from .documentation import Shared
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -117,20 +118,9 @@ def _signed(function: Any, record: Any, first: list[inspect.Parameter]) -> Any:
     return documents(record)(function)
 
 
-def documents(record: Any) -> Callable[[R], R]:
-    """Write the options of a record into a docstring, in the place of ``{options}``."""
-
-    def give(member: Any) -> Any:
-        doc = inspect.cleandoc(member.__doc__ or "")
-        member.__doc__ = doc.replace("{options}", parameters_text(record))
-        return member
-
-    return give
-
-
-def parameters_text(record: Any) -> str:
-    """Return the options of a record as a section Parameters of a docstring."""
-    lines: list[str] = []
+def documents(record: Any) -> Shared:
+    """Return the decorator that writes the options of a record into a docstring."""
+    lines = ["The options.\n\nParameters\n----------"]
     names: list[str] = []
     for name, one in options_of(record).items():
         names.append(name)
@@ -139,7 +129,8 @@ def parameters_text(record: Any) -> str:
             lines += [f"{', '.join(names)} : {one.type}{optional}"]
             lines += [textwrap.indent(one.help, "    ")] * (one.help != "-")
             names.clear()
-    return "\n".join(lines)
+    made: Shared = type("Options", (Shared,), {"__doc__": "\n".join(lines)})()
+    return made
 
 
 class Record:

@@ -59,10 +59,6 @@ def ensemble(*args: Any, **given: Any) -> Ensemble:
     Each member gives bitwise the same result as its own `integrate` call, on any number of threads
     or machines.  A member that fails is recorded with its error message.
 
-    Parameters
-    ----------
-    {options}
-
     Returns
     -------
     Ensemble

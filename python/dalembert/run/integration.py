@@ -39,10 +39,6 @@ from .taylor import SeriesRun, require_supported
 def integrate(*args: Any, **given: Any) -> Solution:
     """Integrate a system with steps of fixed, error-controlled or reversible size.
 
-    Parameters
-    ----------
-    {options}
-
     Returns
     -------
     Solution
@@ -147,10 +143,6 @@ def resume(*args: Any, **given: Any) -> Solution:
 
     Only the error of the resumed part can be estimated.  ``stats.error`` has it if it exceeds 0.05,
     with the warning that h is too large; otherwise it is nan.
-
-    Parameters
-    ----------
-    {options}
 
     Returns
     -------

@@ -32,10 +32,6 @@ class Stepper:
     With "auto" and "reversible" the time increases, each step has its own size, and `until` leads
     to a time.
 
-    Parameters
-    ----------
-    {options}
-
     Attributes
     ----------
     system : System

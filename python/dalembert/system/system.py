@@ -37,10 +37,6 @@ class System(Handle):
     ``time_dependent``, so may all other functions.  `System.from_sympy` takes formulas instead of
     functions; `dalembert.systems` has ready-made systems.
 
-    Parameters
-    ----------
-    {options}
-
     Attributes
     ----------
     n, m : int
@@ -208,10 +204,6 @@ class System(Handle):
         all of its pieces it is undefined, and an evaluation there raises `DomainError`.
         Derivatives that only Newton's method uses (V_qq, L_qq, f_q, f_v) are taken as 0 at a jump,
         and as finite at the edge of ``Max(0, x)**(3/2)``.
-
-        Parameters
-        ----------
-        {options}
 
         Returns
         -------

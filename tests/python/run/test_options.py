@@ -209,8 +209,7 @@ def test_the_text_says_what_would_use_it():
 )  # fmt: skip
 def test_signatures_and_docstrings_are_those_of_the_list(member, record):
     given, doc = inspect.signature(member).parameters, inspect.getdoc(member)
-    section = doc.split("Parameters\n----------\n")[1].split("\n\nAttributes")[0]
-    section = section.split("\n\nReturns")[0]
+    section = re.split(r"\n\n\w+\n-----", doc.split("Parameters\n----------\n")[1])[0]
     heads = [line.partition(" : ")[0] for line in section.splitlines() if line[:1].strip()]
     names = [name for head in heads for name in head.split(", ")]
     assert names == [*given] == [*options_of(record)]
