@@ -61,7 +61,7 @@ class Shared:
 
     def _parameters(self, function: Callable[..., Any], own: str) -> str:
         """Return the entries of all parameters; neighbours with the same text are one entry."""
-        its = {name: entry for entry in _entries(own) for name in entry[0].split(", ")}
+        its = {x.strip("*"): entry for entry in _entries(own) for x in entry[0].split(", ")}
         found: list[tuple[str, str]] = []
         for name, parameter in inspect.signature(function).parameters.items():
             rest = self._shared.get((name, parameter.default is not parameter.empty), "")

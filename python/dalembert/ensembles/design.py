@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core import Array, arguments, extras
+from ..core.documentation import Common
 
 _METHODS = {"sobol": "Sobol", "halton": "Halton", "lhs": "LatinHypercube"}
 
@@ -92,6 +93,7 @@ def grid(**values: ArrayLike) -> Design:
     return Design(found, tuple(rows))
 
 
+@Common("ValueError, ImportError")
 def sample(count: int, *, seed: int = 0, method: str = "sobol", **ranges: Any) -> Design:
     """Return values that fill ranges evenly, from a quasi-random sequence of ``scipy.stats.qmc``.
 
@@ -111,13 +113,6 @@ def sample(count: int, *, seed: int = 0, method: str = "sobol", **ranges: Any) -
     -------
     Design
         A mapping from names to arrays of shape (count,).
-
-    Raises
-    ------
-    ValueError
-        If a range is invalid.
-    ImportError
-        If SciPy is not installed.
 
     Examples
     --------

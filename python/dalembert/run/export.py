@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import core
 from ..core import Array, arguments, extras
+from ..core.documentation import Common
 from .solution import Solution
 
 
@@ -31,17 +32,13 @@ def columns(run: Solution) -> tuple[list[tuple[str, str]], Array]:
     return head, np.column_stack([run.t, run.x, run.multipliers, run.energy, run.residual])
 
 
+@Common("ImportError")
 def to_pandas(run: Solution) -> Any:
     """Return the states as a ``pandas.DataFrame``, one row for each, with the time as index.
 
     Columns: the coordinates, their velocities ``v_...``, the multipliers ``lambda_0`` and so on,
     energy and residual.  If a coordinate has the same name as a quantity, the latter gets a "_", as
     in ``energy_``.  ``attrs["units"]`` has the known units by column.
-
-    Raises
-    ------
-    ImportError
-        If pandas is not installed.
 
     Examples
     --------
@@ -58,6 +55,7 @@ def to_pandas(run: Solution) -> Any:
     return frame
 
 
+@Common("ImportError")
 def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
     """Return the run as an ``xarray.Dataset``.
 
@@ -69,11 +67,6 @@ def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
     units : mapping, optional
         Units as for `System`; default: the units of the system.  The units of time and energy
         become their attribute ``units``, the others the coordinate ``unit``.
-
-    Raises
-    ------
-    ImportError
-        If xarray is not installed.  The message has the command that installs it.
 
     Examples
     --------

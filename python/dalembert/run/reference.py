@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import Array, DalembertWarning, arguments, ffi, lib, require_system
+from ..core.documentation import Common
 from ..system import System
 from .events import CONSISTENCY
 from .runs import consistent_state
@@ -36,6 +37,7 @@ class Reference(NamedTuple):
     accuracy: float
 
 
+@Common("ValueError", "Reference")
 def reference(
     system: System,
     q0: ArrayLike | None = None,
@@ -52,9 +54,6 @@ def reference(
 
     Parameters
     ----------
-    system : System
-    q0, v0 : array_like, shape (n,), optional
-        State at t0 in the user's units; pass both or neither.  Default: the system's initial data.
     t, t0 : float, optional
         Times; ``t < t0`` is allowed.
     consistent : {"check", "project", "assume"}, optional
@@ -71,10 +70,6 @@ def reference(
     inputs : array_like, shape (k,), or mapping, optional
         Constant inputs; default 0. Not with Taylor series.
 
-    Returns
-    -------
-    Reference
-
     Warns
     -----
     DalembertWarning
@@ -83,8 +78,6 @@ def reference(
 
     Raises
     ------
-    ValueError
-        If an argument is out of range.
     NotOnConstraintError
         If the initial data are not in D.
     SingularError, ConvergenceError, DomainError
