@@ -22,16 +22,7 @@ _PACKAGES = {"PIL": "pillow"}
 
 
 def require(module: str, purpose: str) -> Any:
-    """Import a module of an optional package; an ImportError has the command that installs it.
-
-    Examples
-    --------
-    >>> from dalembert.core import extras
-    >>> extras.require("nowhere.at_all", "flying")
-    Traceback (most recent call last):
-        ...
-    ImportError: flying needs nowhere: pip install nowhere
-    """
+    """Import a module of an optional package; an ImportError has the command that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:

@@ -32,12 +32,6 @@ def find(name: str, value: Any, callback: str | None = None) -> Pointer | None:
 
     ``callback`` is its type, one of `ARGUMENTS`; default: the type of its name.  Raises ValueError
     if the C function is NULL or is known to have another number of arguments.
-
-    Examples
-    --------
-    >>> from dalembert import pointers
-    >>> pointers.find("potential", lambda q: 0.0) is None
-    True
     """
     found = _find(value)
     if found is None:

@@ -74,17 +74,7 @@ def _model(system: Handle, near: Array) -> Any:
 
 
 def agree(found: Any, system: Handle, q: Array) -> bool:
-    """Return whether the linear constraints of a model agree with a system, at q and nearby.
-
-    Examples
-    --------
-    >>> import dalembert as dal
-    >>> from dalembert.growth import agree
-    >>> from dalembert.symbolic import expressions
-    >>> system = dal.systems.disk()
-    >>> agree(expressions.model(system), system, system.q0)
-    True
-    """
+    """Return whether the linear constraints of a model agree with a system, at q and nearby."""
     if found.m != system.m or found.derived.kind != "linear":
         return False
     if found.m == 0:
