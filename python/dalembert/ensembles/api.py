@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .. import core
-from ..core import Array, DalembertWarning, arguments, extras, lib, require_system
+from ..core import Array, DalembertWarning, extras, lib, require_system
 from ..core.memory import require_memory
 from ..core.records import options_of, takes
 from ..run.events import CONSISTENCY, Event
@@ -40,6 +40,7 @@ from .spec import (
     EnsembleSpec,
     Output,
     axes_of,
+    broadcast,
     members_shape,
     read_members,
 )
@@ -204,9 +205,7 @@ def _spec(given: EnsembleOptions) -> EnsembleSpec:
         many.append(Steps.of(asked))
         sizes, number = np.array(many[0].first), np.array(MOST)
     else:
-        sizes = arguments.array(asked.h, "h", *[(None,) * k for k in range(33)])
-        if sizes.size == 0:
-            raise ValueError("h: expected at least one step size")
+        sizes = broadcast(asked.h, "h").values
         different = np.unique(sizes)
         many += [Steps.of(asked.having(h=h)) for h in different.tolist()]
         number = np.array([one.count for one in many])[np.searchsorted(different, sizes)]

@@ -255,7 +255,7 @@ class Ensemble(Mapping[str, Any]):
         return None if self._spec.v0 is None else self._of_members(self._spec.v0)
 
     @property
-    def h(self) -> Array | str:
+    def h(self) -> Any:
         """Step sizes, shape (K,), or the word for steps of variable size."""
         return self._spec.common.options.h if self._varies else self._of_members(self._spec.h)
 

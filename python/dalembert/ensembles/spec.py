@@ -80,7 +80,7 @@ class Broadcast:
         return np.ascontiguousarray(self.values[index])
 
 
-def _given(value: ArrayLike, name: str, *tail: int | None) -> Broadcast:
+def broadcast(value: ArrayLike, name: str, *tail: int | None) -> Broadcast:
     """Return values with these last axes, None for any length."""
     shape = np.shape(value) if arguments.shape(value) == np.shape(value) else None
     if shape is None or len(shape) < len(tail):
@@ -371,12 +371,12 @@ def read_members(asked: EnsembleOptions, inputs: Any, holds: int) -> dict[str, A
             f"q0 and v0 are missing: the system {system.name!r} has no default initial data"
         )
     found: dict[str, Any] = {
-        name: None if x is None else _given(x, name, n) for name, x in (("q0", q0), ("v0", v0))
+        name: None if x is None else broadcast(x, name, n) for name, x in (("q0", q0), ("v0", v0))
     }
     if not isinstance(values, Design):
         values = arguments.mapping(values, "parameters")
     found["parameters"] = {
-        str(name): _given(values.compact(name) if isinstance(values, Design) else values[name],
+        str(name): broadcast(values.compact(name) if isinstance(values, Design) else values[name],
                           f"parameters[{str(name)!r}]")
         for name in values
     }  # fmt: skip
@@ -392,7 +392,7 @@ def _inputs(inputs: Any, system: System, holds: int) -> Broadcast:
         return Broadcast(arguments.inputs(inputs, system.inputs, holds), 2)
     if not system.inputs:
         raise ValueError("inputs: the system has no inputs; remove it")
-    return _given(inputs, "inputs", holds, len(system.inputs))
+    return broadcast(inputs, "inputs", holds, len(system.inputs))
 
 
 def axes_of(

@@ -157,19 +157,6 @@ class Watch:
             self.context = ffi.new_handle(listener)
             self._kept.append(listener)
 
-    @classmethod
-    def of(
-        cls,
-        system: System,
-        stepper: Any,
-        scheme: Scheme,
-        events: Sequence[Event],
-        times: Array | None,
-    ) -> Watch | None:
-        """Return the watch of a run; None without events and output times."""
-        needed = events or times is not None
-        return cls(system, stepper, scheme, events, times) if needed else None
-
     def _fill(self, system: System, row: Any, one: Event, name: str) -> None:
         """Write the event for C."""
         row.direction = int(np.sign(one.direction))

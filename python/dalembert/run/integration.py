@@ -28,7 +28,7 @@ from .events import CONSISTENCY, Watch
 from .journal import Journal, describe
 from .laws import take_inputs
 from .options import IntegrateOptions, ResumeOptions, in_c, kind_of
-from .runs import Run, first_inputs, idle_steppers, started_stepper
+from .runs import Plan, Run, first_inputs, idle_steppers, started_stepper
 from .scheme import Scheme
 from .solution import Solution, rank_doubt
 from .steps import Steps
@@ -125,11 +125,11 @@ def integrate(*args: Any, **given: Any) -> Solution:
             about = describe(system, chosen, run, asked.of_c)
             run.journal = Journal.create(asked.journal, run, chosen, about, asked.journal_errors)
 
-    solution = _make(
-        begin, asked, system, chosen if of_series else scheme, stepper, steps=sizes,
-        stride=stride, inputs=inputs, hold=hold, first=first,
-        watch=Watch.of(system, stepper, starter, asked.events, times),
-    )  # fmt: skip
+    watched = asked.events or times is not None
+    watch = Watch(system, stepper, starter, asked.events, times) if watched else None
+    made_by = chosen if of_series else scheme
+    plan = Plan(asked, system, made_by, stepper, sizes, stride, inputs, hold, watch, first)
+    solution = _make(begin, plan)
     idle.append(stepper)
     return solution
 
@@ -195,25 +195,24 @@ def resume(*args: Any, **given: Any) -> Solution:
         "stepper", system._handle, c_record, in_c({**about, **sizes.control}),
         owner=(system._handle, kept),
     )  # fmt: skip
-    return _make(
-        journal.resume, read, system, record, stepper, steps=sizes, stride=stride, inputs=inputs,
-        hold=about["hold"], watch=Watch.of(system, stepper, record, read.events, journal.times()),
-    )  # fmt: skip
+    times, hold = journal.times(), about["hold"]
+    watched = read.events or times is not None
+    watch = Watch(system, stepper, record, read.events, times) if watched else None
+    plan = Plan(read, system, record, stepper, sizes, stride, inputs, hold, watch)
+    return _make(journal.resume, plan)
 
 
-def _make(begin: Callable[[Run], None], asked: Any, *of: Any, **how: Any) -> Solution:
+def _make(begin: Callable[[Any], None], plan: Plan) -> Solution:
     """Return the solution of a `Run`, or raise its error with the solution so far."""
-    with extras.progress(asked.progress, *how["steps"].progress) as show:
-        made = SeriesRun if of[1].is_series else Run
-        unchecked = asked.check_h is False
-        run = made(*of, show=show, observer=asked.observer, check_h=not unchecked, **how)
+    with extras.progress(plan.asked.progress, *plan.steps.progress) as show:
+        run = (SeriesRun if plan.scheme.is_series else Run)(plan, show)
         begin(run)
         run.make()
     solution, error = run.solution(), run.error
     if error is None:
         _warn(solution, run.watch)
         _warn_of_drift(solution)
-    elif asked.throw or not isinstance(error, DalembertError):
+    elif plan.asked.throw or not isinstance(error, DalembertError):
         with contextlib.suppress(AttributeError, TypeError):
             error.partial = solution  # type: ignore[attr-defined]
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -98,27 +99,30 @@ def consistent_state(
     return core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
 
 
+@dataclass(frozen=True)
+class Plan:
+    """The parts of a run: ``asked`` are its options, ``first`` the inputs given to the stepper."""
+
+    asked: Any
+    system: System
+    scheme: Scheme
+    stepper: Any
+    steps: Steps
+    stride: int
+    inputs: Any = None
+    hold: float = 1
+    watch: Watch | None = None
+    first: Array | None = None
+
+
 class Run:
     """A run in execution: its buffers, the number of valid rows, and the reason of its end."""
 
-    def __init__(
-        self,
-        system: System,
-        scheme: Scheme,
-        stepper: Any,
-        *,
-        steps: Steps,
-        stride: int,
-        observer: Callable[..., Any] | None,
-        show: Show,
-        inputs: Array | Callable[..., Any] | None = None,
-        hold: float = 1,
-        watch: Watch | None = None,
-        first: Array | None = None,
-        check_h: bool = True,
-    ) -> None:
+    def __init__(self, plan: Plan, show: Show) -> None:
+        system, stepper, steps, watch = plan.system, plan.stepper, plan.steps, plan.watch
+        inputs, hold, observer = plan.inputs, plan.hold, plan.asked.observer
         self.timed = watch is not None and watch.times is not None
-        self.system, self.scheme, self.stepper, self.steps = system, scheme, stepper, steps
+        self.system, self.scheme, self.stepper, self.steps = system, plan.scheme, stepper, steps
         self.t0, self.h = steps.t0, steps.h
         self.show, self.shown_at = show, -np.inf
         self.checks = self.left = 0  # steps that check h: all that are known of, those to be made
@@ -132,20 +136,20 @@ class Run:
         self.status = lib.DAL_SUCCESS
         self.error: BaseException | None = None
         self.run = run = ffi.new("dal_run *")
-        run.stepper, run.steps, run.stride = stepper, steps.count, stride
+        run.stepper, run.steps, run.stride = stepper, steps.count, plan.stride
         if self.varies:
             run.until, run.input_duration = steps.t_end, steps.direction * hold
         else:
             run.input_steps = int(hold)
         self.watching = ffi.new_handle(_within(show, steps))
         run.watch, run.watch_ctx = lib.dal_py_watch, self.watching
-        run.unchecked = not check_h
-        rows = _FIRST_ROWS if self.varies else steps.count // stride + 1
+        run.unchecked = plan.asked.check_h is False
+        rows = _FIRST_ROWS if self.varies else steps.count // plan.stride + 1
         self._allocate(1 if self.timed else rows)
         ffi.memmove(self.x, lib.dal_stepper_state(stepper), 16 * system.n)
         if self.inputs is not None:
             run.inputs = core.pointer(self.inputs)
-        if first is not None and is_control(inputs):  # which was asked for them
+        if plan.first is not None and is_control(inputs):  # which was asked for them
             run.rows_set = 1
         if observer is not None or callable(inputs):
             self._call_back(observer, inputs)

@@ -21,10 +21,8 @@ from .. import core, geometry, symbolic
 from ..core import Array, ConvergenceError, DalembertError, DomainError, extras, lib
 from ..core.extras import Show
 from ..system import System
-from .events import Watch
-from .scheme import Scheme
+from .runs import Plan
 from .solution import Solution, Statistics, counts_of
-from .steps import Steps
 
 ROWS, STEPS = 64, 128  # of a leg, at the most
 LARGE = 32.0  # a number in a state that makes the tolerance of its series smaller,
@@ -211,28 +209,17 @@ def state(system: System, x: Array, t0: float, t: float, tolerance: float) -> tu
 class SeriesRun:
     """A run by Taylor series in execution, with the interface of `Run`."""
 
-    def __init__(
-        self,
-        system: System,
-        scheme: Scheme,
-        stepper: Any,
-        *,
-        steps: Steps,
-        stride: int,
-        observer: Callable[..., Any] | None,
-        show: Show,
-        watch: Watch | None = None,
-        **_: Any,
-    ) -> None:
-        self.system, self.scheme, self.stepper = system, scheme, stepper
+    def __init__(self, plan: Plan, show: Show) -> None:
+        self.system, self.scheme, self.stepper = plan.system, plan.scheme, plan.stepper
+        steps, stride, watch = plan.steps, plan.stride, plan.watch
         t0, h = self.t0, self.h = steps.t0, steps.h
         self.stride, self.steps = stride, steps.count
-        self.observer, self.show, self.watch = observer, show, watch
+        self.observer, self.show, self.watch = plan.asked.observer, show, watch
         self.times = None if watch is None else watch.times
-        self.start = core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
+        self.start = core.doubles(lib.dal_stepper_state(plan.stepper), 2 * plan.system.n)
         stored = t0 + np.arange(steps.count // stride + 1) * stride * h
         self.grid = stored[1:] if self.times is None else self.times
-        self.x = np.empty((len(self.grid), 2 * system.n))
+        self.x = np.empty((len(self.grid), 2 * plan.system.n))
         self.done = 0  # rows
         self.worst = 0.0
         self.taken = 0  # steps of the series

@@ -129,7 +129,7 @@ class Functions(Source):
     The record ``asked`` has checked values; mass, state and sparsity are its arrays.
     """
 
-    asked: SystemOptions
+    asked: Any  # SystemOptions
     mass: Array | None
     state: Array | None
     sparsity: sparsity.Sparsity | None
