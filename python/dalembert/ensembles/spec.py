@@ -189,6 +189,8 @@ class EnsembleOptions(Events, Inputs, Sampling, Step, Extent, Size, _Members):
           "reactions"; every stride steps, or at the end if "end" is among them.
         - A function of a `Solution` that returns a number, an array, or a mapping from names to
           numbers or arrays.
+
+        If h is a word, the numbers of rows differ, so only the end or a function can be kept.
     """, default="end", parse=lambda text: text.split(","), metavar="NAME,...")
     axes: Any = option("sequence of str, or mapping of str to array_like", """
         Names of the axes of the members, and values along them, for plots and xarray.  Default: the
