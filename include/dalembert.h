@@ -41,8 +41,14 @@
 #endif
 
 #ifdef __cplusplus
-extern "C" {
+#define DAL_BEGIN_DECLARATIONS extern "C" {
+#define DAL_END_DECLARATIONS }
+#else
+#define DAL_BEGIN_DECLARATIONS
+#define DAL_END_DECLARATIONS
 #endif
+
+DAL_BEGIN_DECLARATIONS
 
 /* The part between the two cdef marks has plain declarations only.  The Python package uses it as
  * its cffi definition, so the two languages cannot disagree. */
@@ -445,7 +451,5 @@ DAL_API int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, dou
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_H */

@@ -5,9 +5,7 @@
 
 #include <dalembert.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* <cdef> */
 
@@ -37,7 +35,5 @@ DAL_API int dal_system_deform_nodes(dal_system **system, const dal_system *base,
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_DEFORMATION_H */

@@ -5,9 +5,7 @@
 
 #include <dalembert/geometry.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* <cdef> */
 
@@ -159,7 +157,5 @@ DAL_API int dal_exact_velocity(dal_flow *flow, double t0, double h, const double
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_DISCRETE_H */

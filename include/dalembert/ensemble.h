@@ -9,9 +9,7 @@
 #include <dalembert/events.h>
 #include <dalembert/stepper.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* <cdef> */
 /* ---- ensembles ------------------------------------------------------------------------- */
@@ -87,7 +85,5 @@ DAL_API int dal_ensemble_run(const dal_system *system, const dal_scheme *scheme,
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_ENSEMBLE_H */

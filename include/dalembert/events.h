@@ -10,9 +10,7 @@
 
 #include <dalembert/run.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* <cdef> */
 /* ---- events ---------------------------------------------------------------------------- */
@@ -84,7 +82,5 @@ DAL_API int dal_events_restore(dal_events *events, const double *values, size_t 
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_EVENTS_H */

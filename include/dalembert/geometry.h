@@ -6,9 +6,7 @@
 #include <dalembert/deformation.h>
 #include <dalembert/stepper.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* <cdef> */
 
@@ -356,7 +354,5 @@ DAL_API void dal_flow_stats(const dal_flow *flow, dal_stats *stats);
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_GEOMETRY_H */

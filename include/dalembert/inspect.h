@@ -5,9 +5,7 @@
 
 #include <dalembert.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* <cdef> */
 /* ---- systems --------------------------------------------------------------------------- */
@@ -79,7 +77,5 @@ DAL_API int dal_scheme_eps(const dal_scheme *scheme, double *eps, dal_error *err
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_INSPECT_H */

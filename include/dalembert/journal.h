@@ -17,9 +17,7 @@
 
 #include <dalembert/run.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* <cdef> */
 /* ---- journals -------------------------------------------------------------------------- */
@@ -130,7 +128,5 @@ DAL_API int dal_journal_resume(dal_journal *journal, dal_run *run, dal_error *er
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_JOURNAL_H */

@@ -5,9 +5,7 @@
 
 #include <dalembert.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* <cdef> */
 /* ---- runs ------------------------------------------------------------------------------ */
@@ -87,7 +85,5 @@ DAL_API int dal_run_go(dal_run *run, size_t budget);
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_RUN_H */

@@ -5,9 +5,7 @@
 
 #include <dalembert.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* If the error of dal_stats exceeds this, h is too large. */
 #define DAL_LARGE_ERROR 0.05
@@ -100,7 +98,5 @@ DAL_API void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats);
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_STEPPER_H */

@@ -5,9 +5,7 @@
 
 #include <dalembert/geometry.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
+DAL_BEGIN_DECLARATIONS
 
 /* <cdef> */
 
@@ -173,7 +171,5 @@ DAL_API int dal_embedding_flow(dal_embedding *embedding, double t0, double t1, d
 
 /* </cdef> */
 
-#ifdef __cplusplus
-}
-#endif
+DAL_END_DECLARATIONS
 #endif /* DALEMBERT_STUDY_H */
