@@ -79,7 +79,7 @@ DAL_LU_INLINE int call_for_terms(dal_mechanics *mech, size_t n, size_t m, double
     double *const phi_t = e->system->def.time_dependent ? at->phi_t : NULL;
     if (e->potential_force) {
         dal__forget(n, mech->force);
-        e->potential_calls += e->potential_force_ctx != e;
+        e->calls.potential += e->potential_force_ctx != e;
         const int returned =
             e->potential_force(t, x, NULL, mech->force, NULL, e->potential_force_ctx);
         *name = e->potential_force_ctx == e ? e->refused : "potential";
@@ -90,7 +90,7 @@ DAL_LU_INLINE int call_for_terms(dal_mechanics *mech, size_t n, size_t m, double
     dal__forget(m * n, at->mu);
     dal__forget(m * n, at->dmu);
     dal__forget(m, phi_t);
-    e->constraint_calls += e->constraint_ctx != e;
+    e->calls.constraint += e->constraint_ctx != e;
     const int returned =
         e->constraint(t, x, x + n, NULL, at->mu, at->dmu, phi_t, e->constraint_ctx);
     *name = "constraint";
@@ -154,10 +154,10 @@ int dal__field(dal_mechanics *mech, double t, const double *x, double *xdot)
     evaluator *const e = &mech->eval;
     const dal_system_def *const def = &e->system->def;
     if (!e->field) return field_in_full(mech, t, x, xdot);
-    e->constraint_calls += mech->m > 0;
-    e->potential_calls += def->potential != NULL;
-    e->lagrangian_calls += def->lagrangian != NULL;
-    e->force_calls += def->force != NULL;
+    e->calls.constraint += mech->m > 0;
+    e->calls.potential += def->potential != NULL;
+    e->calls.lagrangian += def->lagrangian != NULL;
+    e->calls.force += def->force != NULL;
     return e->field(t, x, e->input, e->system->mass_inverse, xdot, def->ctx)
         ? DAL_SUCCESS : field_in_full(mech, t, x, xdot);
 }

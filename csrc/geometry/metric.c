@@ -44,7 +44,7 @@ int dal__build_metric(dal_mechanics *mech, double t, const double *q, const doub
 
 int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
-    const size_t n = mech->n, calls = mech->eval.lagrangian_calls;
+    const size_t n = mech->n, calls = mech->eval.calls.lagrangian;
     const dal__metric *const metric = &mech->metric;
     const double *const at = metric->formed_at;
     if (mech->eval.constant_mass) return DAL_SUCCESS;
@@ -53,7 +53,7 @@ int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const doub
         && at[2 * n] == t)
         return DAL_SUCCESS;
     const int status = dal__build_metric(mech, t, q, v);
-    mech->eval.lagrangian_calls = calls;
+    mech->eval.calls.lagrangian = calls;
     return status;
 }
 

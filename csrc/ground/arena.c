@@ -52,7 +52,7 @@ int dal__allocate(arena *a, dal_error *error)
 
 void dal__release(arena *a)
 {
-    void *const block = a->block;
+    void *const block = a->block; /* which the object may lie in, with its arena */
     a->block = NULL;
     free(block);
 }

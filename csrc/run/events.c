@@ -91,8 +91,7 @@ void dal_events_free(dal_events *events)
 {
     if (!events) return;
     dal_stepper_free(events->probe);
-    arena memory = events->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&events->arena);
 }
 
 void dal__events_forget(dal_events *events)

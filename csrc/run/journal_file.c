@@ -157,8 +157,7 @@ int dal__journal_allocate(dal_journal **journal, const char *path, const dal__he
 void dal__journal_detach(dal_journal *self)
 {
     if (self->file >= 0) close(self->file);
-    arena memory = self->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&self->arena);
 }
 
 /* Who writes, for others to read. */

@@ -438,8 +438,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
 
 static void release(void *method)
 {
-    arena memory = ((beta *)method)->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&((beta *)method)->arena);
 }
 
 static void start(void *method, dal_motion *motion)

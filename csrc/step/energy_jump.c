@@ -14,8 +14,7 @@ static const double RESOLUTION = 1e-9;
 static int energies(dal_mechanics *mech, double shift, const double *x, double *E, double *kinetic)
 {
     const size_t n = mech->n;
-    evaluator *const e = &mech->eval;
-    const size_t calls[] = {e->potential_calls, e->lagrangian_calls};
+    const dal__calls calls = mech->eval.calls;
     const double *y = x;
     if (shift != 0.0) {
         memcpy(mech->point, x, 2 * n * sizeof *x);
@@ -26,8 +25,7 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
     if (!status) status = dal__energy(mech, 0.0, y, E);
     dal__weigh(mech, y + n, mech->step);
     *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
-    e->potential_calls = calls[0];
-    e->lagrangian_calls = calls[1];
+    mech->eval.calls = calls;
     return status;
 }
 

@@ -12,7 +12,7 @@ typedef struct member {
     bool loaded;
     size_t begin;    /* number of its next step then */
     dal_stats stats;
-    size_t calls[4]; /* of its evaluator */
+    dal__calls calls; /* of its evaluator */
     dal__energy_jump energy_jump;
     dal__rank rank;
 } member;
@@ -96,8 +96,7 @@ int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error
 void dal__lanes_free(dal__lanes *lanes)
 {
     if (!lanes) return;
-    arena memory = lanes->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&lanes->arena);
 }
 
 size_t dal__lanes_use(dal__lanes *lanes, size_t vector)
@@ -171,7 +170,6 @@ static void put(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
 
 void dal__lanes_load(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
 {
-    const evaluator *const e = &stepper->mech.eval;
     member *const self = &lanes->member[lane];
     /* what empty lanes compute is as quick as the rest, and not of numbers that are none */
     for (size_t other = 0; other < lanes->width; other++)
@@ -179,9 +177,7 @@ void dal__lanes_load(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
     put(lanes, lane, stepper);
     *self = (member){.loaded = true, .begin = stepper->motion.steps,
                      .stats = dal__beta_kernel(stepper)->stats,
-                     .calls = {e->constraint_calls, e->potential_calls, e->lagrangian_calls,
-                               e->force_calls},
-                     .energy_jump = stepper->energy_jump,
+                     .calls = stepper->mech.eval.calls, .energy_jump = stepper->energy_jump,
                      .rank.largest = lanes->largest + lane * lanes->m};
     dal__rank_copy(lanes->m, &stepper->guards.rank, &self->rank);
     *carried(lanes, lane, DAL_LANES_GOING) = 1.0;
@@ -231,7 +227,6 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     const size_t n = lanes->n;
     const dal_system_def *const def = &lanes->system->def;
     dal_motion *const motion = &stepper->motion;
-    evaluator *const e = &stepper->mech.eval;
     dal_kernel *const k = dal__beta_kernel(stepper);
     k->stats = self->stats;
     motion->steps = counter(lanes, lane, DAL_LANES_NUMBER);
@@ -241,10 +236,7 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     const size_t calls = counter(lanes, lane, DAL_LANES_PULL_CALLS);
     if (def->potential) k->stats.potential_calls += calls;
     if (def->force) k->stats.force_calls += calls;
-    e->constraint_calls = self->calls[0];
-    e->potential_calls = self->calls[1];
-    e->lagrangian_calls = self->calls[2];
-    e->force_calls = self->calls[3];
+    stepper->mech.eval.calls = self->calls;
     stepper->energy_jump = self->energy_jump;
     dal__rank_copy(lanes->m, &self->rank, &stepper->guards.rank);
     stepper->started = true;

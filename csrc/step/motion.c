@@ -34,10 +34,10 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     if (e->potential_force_ctx == e && !(stepper->motion.system->def.compiled
                                          && stepper->scheme.nodes == DAL_MOVED_NODES))
         stats->potential_calls = 0;
-    stats->constraint_calls += e->constraint_calls;
-    stats->potential_calls += e->potential_calls;
-    stats->lagrangian_calls += e->lagrangian_calls;
-    stats->force_calls += e->force_calls;
+    stats->constraint_calls += e->calls.constraint;
+    stats->potential_calls += e->calls.potential;
+    stats->lagrangian_calls += e->calls.lagrangian;
+    stats->force_calls += e->calls.force;
     stats->differenced = stepper->motion.system->def.missing;
     stats->jump_step = stepper->energy_jump.step;
     stats->jump = stepper->energy_jump.change;

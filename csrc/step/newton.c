@@ -205,13 +205,9 @@ int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, 
     s->stats = stats;
     if (!full_newton) return make_step(s, t, end, alpha, beta, h, kept, x, kappa);
     own->input = given->input;
-    own->potential_calls = given->potential_calls;
-    own->constraint_calls = given->constraint_calls;
-    own->force_calls = given->force_calls;
+    own->calls = given->calls;
     const int status = make_step(s, t, end, alpha, beta, h, kept, x, kappa);
-    given->potential_calls = own->potential_calls;
-    given->constraint_calls = own->constraint_calls;
-    given->force_calls = own->force_calls;
+    given->calls = own->calls;
     mech->error = s->whole.error;
     return status;
 }

@@ -44,8 +44,7 @@ static void release(void *method)
 {
     pair_steps *const self = method;
     dal_discrete_free(self->discrete);
-    arena memory = self->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&self->arena);
 }
 
 static int make(void **method, dal_motion *motion, dal_error *error)

@@ -20,13 +20,10 @@ int dal__remake_make(dal_stepper *self, dal_error *error)
 void dal__remake_begin(dal_stepper *self)
 {
     dal__remake *const remake = &self->remake;
-    const evaluator *const e = &self->mech.eval;
-    const size_t calls[4] = {e->constraint_calls, e->potential_calls, e->lagrangian_calls,
-                             e->force_calls};
     dal__snapshot_take(self, &remake->here);
     dal__copy(self->motion.system->def.inputs, self->motion.input, remake->input);
     if (self->applied) dal__copy(self->motion.system->def.inputs, self->applied, remake->applied);
-    memcpy(remake->calls, calls, sizeof calls);
+    remake->calls = self->mech.eval.calls;
     remake->stats = *self->motion.stats;
     remake->steps = self->motion.steps;
     remake->watch = self->motion.watch;
@@ -39,18 +36,14 @@ void dal__remake_begin(dal_stepper *self)
 void dal__remake_end(dal_stepper *self)
 {
     const dal__remake *const remake = &self->remake;
-    evaluator *const e = &self->mech.eval;
-    dal__copy(self->motion.system->def.inputs, remake->input, e->own_input);
+    dal__copy(self->motion.system->def.inputs, remake->input, self->mech.eval.own_input);
     if (self->applied) dal__copy(self->motion.system->def.inputs, remake->applied, self->applied);
     self->motion.guards = &self->guards;
     dal__snapshot_restore(self, &remake->here);
     *self->motion.stats = remake->stats;
     self->motion.steps = remake->steps;
     self->motion.watch = remake->watch;
-    e->constraint_calls = remake->calls[0];
-    e->potential_calls = remake->calls[1];
-    e->lagrangian_calls = remake->calls[2];
-    e->force_calls = remake->calls[3];
+    self->mech.eval.calls = remake->calls;
 }
 
 void dal__remake_start(dal_stepper *self, double t, double from, const double *x, double h)

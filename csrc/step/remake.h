@@ -9,7 +9,8 @@
 typedef struct dal__remake {
     dal__snapshot here, there; /* of the motion; of the other steps, between two calls */
     dal_stats stats;        /* the rest of the motion */
-    size_t calls[4], steps, paused; /* the last: of the other steps */
+    dal__calls calls;
+    size_t steps, paused;   /* of the motion; of the other steps */
     double *input, *applied; /* [inputs] */
     dal_watch_fn watch;
     struct dal__guards guards; /* of the other steps: the run has its own */

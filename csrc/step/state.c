@@ -26,8 +26,8 @@ static void save_counts(dal_stepper *self, dal__archive *a)
         &stats->iterations, &stats->constraint_calls, &stats->potential_calls,
         &stats->lagrangian_calls, &stats->force_calls, &stats->evaluations, &stats->corrections,
         &stats->full_newtons, &stats->halvings, &stats->scaled, &stats->unscaled, &stats->resets,
-        &stats->rejected, &stats->uncontrolled, &e->constraint_calls, &e->potential_calls,
-        &e->lagrangian_calls, &e->force_calls};
+        &stats->rejected, &stats->uncontrolled, &e->calls.constraint, &e->calls.potential,
+        &e->calls.lagrangian, &e->calls.force};
     for (size_t i = 0; i < DAL_LENGTH(counters); i++) dal__archive_counter(a, counters[i]);
     dal__archive_real(a, &stats->worst_residual);
     dal__archive_real(a, &stats->initial_residual);

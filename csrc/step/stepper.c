@@ -90,8 +90,7 @@ void dal_stepper_free(dal_stepper *stepper)
     dal__release(&stepper->variable.arena);
     dal__release(&stepper->scaling.arena);
     dal__release(&stepper->remake.arena);
-    arena memory = stepper->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&stepper->arena);
 }
 
 /* ---- start ------------------------------------------------------------------------------ */
@@ -228,8 +227,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     int status = check_start(self, t0, h, x, consistency, initial);
     if (status) return status;
 
-    evaluator *const e = &self->mech.eval;
-    e->constraint_calls = e->potential_calls = e->lagrangian_calls = e->force_calls = 0;
+    self->mech.eval.calls = (dal__calls){0};
     memcpy(self->fresh, x, 2 * n * sizeof *x);
     status = probe(self, t0);
     if (!status)

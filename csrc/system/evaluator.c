@@ -111,10 +111,10 @@ static int call(evaluator *e, callback which, double t, const double *q, const d
     int returned = 0;
     switch (which) {
     case POTENTIAL:
-        e->potential_calls++;
+        e->calls.potential++;
         return def->potential(t, q, x[0], x[1], x[2], def->ctx);
     case CONSTRAINT:
-        e->constraint_calls++;
+        e->calls.constraint++;
         returned = dal__call_constraint(e, t, q, v, linear ? NULL : x[3], x[0], x[1], x[2]);
         for (size_t k = 0; !returned && def->sparsity && !e->rows && k < 2; k++)
             if (x[k]) dal__expand(def, x[k]);
@@ -124,10 +124,10 @@ static int call(evaluator *e, callback which, double t, const double *q, const d
             x[3][a] = 0.0 + dal_rows_dot(e->rows, x[0], a, v);
         return returned;
     case LAGRANGIAN:
-        e->lagrangian_calls++;
+        e->calls.lagrangian++;
         return def->lagrangian(t, q, v, x[0], x[1], x[2], x[3], x[4], x[5], x[6], def->ctx);
     case FORCE:
-        e->force_calls++;
+        e->calls.force++;
         return def->force(t, q, v, e->input, x[0], x[1], x[2], def->ctx);
     }
     return returned;

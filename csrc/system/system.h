@@ -50,6 +50,7 @@ struct dal_system {
  * that is not the evaluator. */
 enum { DAL__CALLBACKS = 4, DAL__OUTPUTS = 7 };
 typedef enum dal__moves { MOVES_Q, MOVES_V, MOVES_T } dal__moves;
+typedef struct dal__calls { size_t potential, constraint, lagrangian, force; } dal__calls;
 
 typedef struct evaluator {
     const dal_system *system;
@@ -70,7 +71,7 @@ typedef struct evaluator {
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
     double *nowhere;            /* [n] NaN: the velocity for a force that is positional */
     double *force, *slopes, *drag; /* [n], [n*n] f, f_q, f_v that are added to others */
-    size_t potential_calls, constraint_calls, lagrangian_calls, force_calls;
+    dal__calls calls;
 } evaluator;
 
 /* Where L and its derivatives are to go; what is NULL is not wanted.  As in dal_lagrangian_fn. */

@@ -233,7 +233,7 @@ static void test_velocities(shape shape, double c)
     dal_chart *const chart = open_chart(system);
     CHECK(dal_chart_choose(chart, t, (size_t[]){2}, x) == DAL_SUCCESS);
     CHECK(dal_project(mechanics, t, 0.0, x, NULL) == DAL_SUCCESS);
-    CHECK(mechanics->eval.constraint_calls <= 16);
+    CHECK(mechanics->eval.calls.constraint <= 16);
     CHECK(fabs(exact_phi(&a, t, x, &size)) <= 4 * N * U * size);
     CHECK(residual_at(system, t, 0.0, x) <= DAL_RESIDUAL_BOUND(N));
     CHECK(dal_chart_drop(chart, x, xi) == DAL_SUCCESS);

@@ -349,7 +349,7 @@ static void test_step(const dal_system *system, dal_difference_map lagrangian,
     if (!mass_of(system)) {
         memcpy(y, x, sizeof y);
         GOOD(d, dal_discrete_advance(d, t0, h, y, NULL));
-        CHECK(d->mech.eval.lagrangian_calls <= 1 + 5 * 2);
+        CHECK(d->mech.eval.calls.lagrangian <= 1 + 5 * 2);
     }
     GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q0, q1));
     memcpy(nodes, q0, n * sizeof *q0);

@@ -251,9 +251,9 @@ static void test_deformed(dal_mechanics *mech, const dal_system *system, const d
         const double shift = 0.05 * sign;
         double x[2 * N], d[N], Md[N], tangent[2 * N], distance = NAN;
         memcpy(x, x0, 2 * n * sizeof *x);
-        const size_t calls = mech->eval.constraint_calls;
+        const size_t calls = mech->eval.calls.constraint;
         CHECK(dal_project(mech, 0.0, shift, x, &distance) == 0);
-        CHECK(mech->eval.constraint_calls - calls <= 8); /* Newton, and not a slower iteration */
+        CHECK(mech->eval.calls.constraint - calls <= 8); /* Newton, and not a slower iteration */
         CHECK(memcmp(x, x0, n * sizeof *x) == 0);
         CHECK(residual_of(system, shift, x) <= ROUNDOFF);
         for (size_t i = 0; i < n; i++) d[i] = x[n + i] - x0[n + i];

@@ -300,11 +300,11 @@ static void test_again(void)
     CHECK(dal_stepper_time(member.stepper) == dal_stepper_time(alone.stepper));
     /* with what only the stepper knew that was loaded */
     member.stepper->energy_jump.energy = 7.0;
-    member.stepper->mech.eval.constraint_calls = 3;
+    member.stepper->mech.eval.calls.constraint = 3;
     dal__lanes_load(lanes, 2, member.stepper);
     dal__lanes_unload(lanes, 2, gone.stepper);
     CHECK(gone.stepper->energy_jump.energy == 7.0);
-    CHECK(gone.stepper->mech.eval.constraint_calls == 3);
+    CHECK(gone.stepper->mech.eval.calls.constraint == 3);
     dal__lanes_stop(lanes);
     dal__lanes_advance(lanes, 20);
     CHECK(dal__lanes_made(lanes, 1) == 30);

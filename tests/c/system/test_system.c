@@ -316,8 +316,8 @@ static void check_differences(const char *name, unsigned missing)
         CHECK(dal__potential(&w.eval, 0.0, q, NULL, V_q[1], NULL, &error) == DAL_SUCCESS);
         CHECK(dal__constraint(&w.eval, 0.0, q, v, NULL, mu[1], NULL, NULL, &error) == DAL_SUCCESS);
     }
-    CHECK(w.eval.potential_calls == l.potential_calls && l.potential_calls >= 20);
-    CHECK(w.eval.constraint_calls == l.constraint_calls && l.constraint_calls >= 20);
+    CHECK(w.eval.calls.potential == l.potential_calls && l.potential_calls >= 20);
+    CHECK(w.eval.calls.constraint == l.constraint_calls && l.constraint_calls >= 20);
     dal__release(&exact.arena);
     dal__release(&w.arena);
 }
@@ -410,7 +410,7 @@ static void test_faults(void)
     CHECK(dal__potential(&w.eval, 0.0, q, &V, V_q, V_qq, &error) == DAL_SUCCESS);
     CHECK(V == 0.0 && sum_of_sizes(3, V_q) == 0.0 && sum_of_sizes(9, V_qq) == 0.0);
     CHECK(dal__constraint(&w.eval, 0.0, q, v, NULL, NULL, NULL, NULL, &error) == DAL_SUCCESS);
-    CHECK(w.eval.potential_calls == 0 && w.eval.constraint_calls == 0);
+    CHECK(w.eval.calls.potential == 0 && w.eval.calls.constraint == 0);
     dal__release(&w.arena);
 }
 
