@@ -1,7 +1,6 @@
 /* What happens between the steps of a run. */
 #include "run/events.h"
 #include "run/run.h"
-#include "step/scheme.h"
 
 #include <math.h>
 #include <string.h>
@@ -61,20 +60,14 @@ int dal_events_new(dal_events **events, const dal_stepper *stepper, const dal_sc
     int status =
         DAL__REQUIRE(error, {"events", events}, {"stepper", stepper}, {"scheme", scheme});
     if (!status) status = check_list(list, count, error);
+    if (!status) status = dal__stepper_check_scheme(stepper, scheme, "events", error);
     if (status) return status;
-    const dal_system *const system = stepper->motion.system;
-    if (dal__scheme_identify(system, scheme) != stepper->identity)
-        return dal__fail(error, DAL_EINVAL, "scheme: expected the scheme of the stepper");
-    if (dal_stepper_saved(stepper) == 0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support events, because "
-                         "its steps cannot be saved and repeated; choose another scheme",
-                         scheme->name);
     dal_events *self;
     status = allocate(&self, stepper, count, error);
     if (status) return status;
     dal_scheme moved = *scheme;
     moved.nodes = DAL_MOVED_NODES;
-    status = dal_stepper_new(&self->probe, system, &moved,
+    status = dal_stepper_new(&self->probe, stepper->motion.system, &moved,
                              &(dal_options){.max_iterations = stepper->motion.max_iterations,
                                             .keep_energy = stepper->scaling.wanted},
                              error);

@@ -2,7 +2,6 @@
 #include "run/journal.h"
 #include "run/events.h"
 #include "run/run.h"
-#include "step/scheme.h"
 
 #include <string.h>
 
@@ -219,13 +218,7 @@ static int check_new(const dal_run *run, const dal_scheme *scheme,
         if (error) *error = run->stepper->error;
         return run->stepper->error.status;
     }
-    if (dal__scheme_identify(run->stepper->motion.system, scheme) != run->stepper->identity)
-        return dal__fail(error, DAL_EINVAL, "scheme: expected the scheme of the stepper");
-    if (dal_stepper_saved(run->stepper) == 0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support a journal, "
-                         "because its steps cannot be resumed; choose another scheme",
-                         scheme->name);
-    return DAL_SUCCESS;
+    return dal__stepper_check_scheme(run->stepper, scheme, "a journal", error);
 }
 
 int dal_journal_new(dal_journal **journal, const char *path, dal_run *run,
@@ -473,7 +466,7 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
         e->doubt_g = from[3];
     }
     if (status) return status;
-    dal__guard_forget(stepper); /* the estimate of an earlier run */
+    dal__estimate_forget(stepper); /* the estimate of an earlier run */
     from += DOUBTS;
     run->t_begin = from[0];
     run->row_time = from[1];

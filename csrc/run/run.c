@@ -163,8 +163,8 @@ int dal_run_go(dal_run *run, size_t budget)
     dal_motion *const motion = &run->stepper->motion;
     int status = dal__run_check(run);
     if (status) return status;
-    if (run->checks > 0) dal__guard_check(run, budget);
-    else dal__guard_begin(run);
+    if (run->checks > 0) dal__estimate_check(run, budget);
+    else dal__estimate_begin(run);
     if (run->ended) return DAL_STOPPED;
     if (run->checks > 0) return DAL_SUCCESS;
     if (run->control && run->done == 0 && run->rows_set == 1)
@@ -184,12 +184,12 @@ int dal_run_go(dal_run *run, size_t budget)
         if (left > budget) left = budget;
         left = steps_of_inputs(run, left);
         if (run->journal && left > MOST_AT_ONCE) left = MOST_AT_ONCE;
-        if (left > dal__guard_stop(run)) left = dal__guard_stop(run);
+        if (left > dal__estimate_stop(run)) left = dal__estimate_stop(run);
         if (run->events) status = look_and_step(run, &made);
         else status = dal__stepper_advance(run->stepper, left, &made);
         budget -= made;
         run->done += made;
-        if (!status) dal__guard_look(run);
+        if (!status) dal__estimate_look(run);
         if (!status && is_due(run)) status = store(run);
         if (!status && run->journal) status = dal__journal_look(run, made);
     }
@@ -198,7 +198,7 @@ int dal_run_go(dal_run *run, size_t budget)
     if (!status && dal__run_is_over(run)) status = dal__stepper_look(run->stepper);
     status = pause_journal(run, status);
     if (run->ended ? status == DAL_STOPPED : !status && dal__run_is_over(run))
-        dal__guard_check(run, budget);
+        dal__estimate_check(run, budget);
     return status;
 }
 

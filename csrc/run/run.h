@@ -53,13 +53,13 @@ int dal__journal_begin(const dal_run *run);
 int dal__journal_look(const dal_run *run, size_t made);
 int dal__journal_pause(const dal_run *run, int status);
 
-/* The estimate of the error (guard.c): start it with a run; the number of steps until it needs the
- * state again; update it there; and finish it after the last step, by at most `budget` steps at a
- * time, until run->checks is 0. */
-void dal__guard_begin(dal_run *run);
-size_t dal__guard_stop(const dal_run *run);
-void dal__guard_look(dal_run *run);
-void dal__guard_check(dal_run *run, size_t budget);
+/* The estimate of the error (estimate.c): start it with a run; the number of steps until it needs
+ * the state again; update it there; and finish it after the last step, by at most `budget` steps at
+ * a time, until run->checks is 0. */
+void dal__estimate_begin(dal_run *run);
+size_t dal__estimate_stop(const dal_run *run);
+void dal__estimate_look(dal_run *run);
+void dal__estimate_check(dal_run *run, size_t budget);
 
 /* Maps the return value of a user callback to a status; name is used in the message. */
 int dal__run_callback_status(const dal_run *run, const char *name, int returned);

@@ -240,7 +240,7 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     stepper->energy_jump = self->energy_jump;
     dal__rank_copy(lanes->m, &self->rank, &stepper->guards.rank);
     stepper->started = true;
-    dal__guard_forget(stepper);
+    dal__estimate_forget(stepper);
     k->t0 = motion->t0 = *given(lanes, lane, 0);
     k->h = motion->h = *given(lanes, lane, 1);
     k->range[0] = *given(lanes, lane, 2);

@@ -43,9 +43,9 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->jump = stepper->energy_jump.change;
     stats->largest_kinetic = stepper->energy_jump.kinetic;
     dal__guards_tell(&stepper->guards, stats);
-    stats->remade = stepper->guard.remade;
-    stats->whole = !stepper->guard.whole ? 0 : stepper->guard.piece == 0 ? 1 : 2;
-    stats->error = stepper->guard.error;
+    stats->remade = stepper->estimate.remade;
+    stats->whole = !stepper->estimate.whole ? 0 : stepper->estimate.piece == 0 ? 1 : 2;
+    stats->error = stepper->estimate.error;
 }
 
 int dal_stepper_input(dal_stepper *stepper, const double *u)
@@ -117,11 +117,11 @@ int dal__stepper_reaction(dal_stepper *stepper, double elapsed, double *reaction
     return DAL_SUCCESS;
 }
 
-void dal__guard_forget(dal_stepper *stepper)
+void dal__estimate_forget(dal_stepper *stepper)
 {
-    dal__guard *const guard = &stepper->guard;
-    guard->run = NULL;
-    guard->on = guard->whole = false;
-    guard->remade = 0;
-    guard->error = (double)NAN;
+    dal__estimate *const estimate = &stepper->estimate;
+    estimate->run = NULL;
+    estimate->on = estimate->whole = false;
+    estimate->remade = 0;
+    estimate->error = (double)NAN;
 }

@@ -1,5 +1,5 @@
 /* Compute steps again with another h, and restore the motion afterwards. */
-#include "step/remake.h"
+#include "step/estimate.h"
 
 #include "step/stepper.h"
 

@@ -17,7 +17,7 @@
 #include "step/scaling.h"
 
 #include "step/stepper.h"
-#include "step/variable.h"
+#include "step/step_control.h"
 
 #include <math.h>
 #include <string.h>

@@ -74,6 +74,16 @@ size_t dal_stepper_saved(const dal_stepper *stepper)
     return kept == DAL_NOT_RESUMABLE ? 0 : before_family(stepper) + kept;
 }
 
+int dal__stepper_check_scheme(const dal_stepper *stepper, const dal_scheme *scheme,
+                              const char *name, dal_error *error)
+{
+    if (dal__scheme_identify(stepper->motion.system, scheme) != stepper->identity)
+        return dal__fail(error, DAL_EINVAL, "scheme: expected the scheme of the stepper");
+    if (dal_stepper_saved(stepper) > 0) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" does not support %s, because its "
+                     "steps cannot be resumed; choose another scheme", scheme->name, name);
+}
+
 /* Whether there is something to save, and where. */
 static int check_resumable(dal_stepper *self, const double *values)
 {

@@ -19,10 +19,10 @@ static int allocate(dal_stepper **stepper, const dal_system *system, const dal_s
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
     DAL__RESERVE(&memory, dal__times(2, n), &shape.motion.x, &shape.fresh);
-    dal__guard *const guard = &shape.guard;
-    DAL__RESERVE(&memory, dal__times(2, n), &guard->low, &guard->high, &guard->x, &guard->sum,
-                 &guard->rate, &guard->error_of, &guard->from);
-    DAL__RESERVE(&memory, dal__times(2 * DAL__MARKS, n), &guard->mark);
+    dal__estimate *const estimate = &shape.estimate;
+    DAL__RESERVE(&memory, dal__times(2, n), &estimate->low, &estimate->high, &estimate->x,
+                 &estimate->sum, &estimate->rate, &estimate->error_of, &estimate->from);
+    DAL__RESERVE(&memory, dal__times(2 * DAL__MARKS, n), &estimate->mark);
     DAL__RESERVE(&memory, system->def.m, &shape.motion.impulse);
     dal__rank_reserve(&shape.guards.rank, n, system->def.m, &memory);
     if (system->def.driven) DAL__RESERVE(&memory, system->def.inputs, &shape.applied);
@@ -260,7 +260,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     self->energy_jump = jump;
     dal__rank_start(&self->guards.rank, self->mech.m);
     self->guards.creep = (dal__creep){0};
-    dal__guard_forget(self);
+    dal__estimate_forget(self);
     self->scaling.energy = kept;
     self->started = true;
     dal__fail(&self->error, DAL_SUCCESS, "%s", "");
@@ -275,14 +275,14 @@ enum { BETWEEN_LOOKS = 64 };
 /* Update the least and the largest number of iterations per step, over 64 steps. */
 static void note_effort(dal_stepper *self)
 {
-    dal__guard *const guard = &self->guard;
-    const size_t steps = self->motion.steps - guard->looked;
-    const size_t iterations = self->motion.stats->iterations - guard->iterations;
+    dal__estimate *const estimate = &self->estimate;
+    const size_t steps = self->motion.steps - estimate->looked;
+    const size_t iterations = self->motion.stats->iterations - estimate->iterations;
     if (steps < BETWEEN_LOOKS) return;
-    guard->least_effort = fmin(guard->least_effort, (double)iterations / (double)steps);
-    guard->most_effort = fmax(guard->most_effort, (double)iterations / (double)steps);
-    guard->looked += steps;
-    guard->iterations += iterations;
+    estimate->least_effort = fmin(estimate->least_effort, (double)iterations / (double)steps);
+    estimate->most_effort = fmax(estimate->most_effort, (double)iterations / (double)steps);
+    estimate->looked += steps;
+    estimate->iterations += iterations;
 }
 
 int dal__stepper_look(dal_stepper *stepper)

@@ -3,12 +3,10 @@
 #define DAL__STEPPER_H
 
 #include "dalembert/family.h"
-#include "step/step_control.h"
-#include "step/guard.h"
 #include "step/energy_jump.h"
-#include "step/remake.h"
+#include "step/estimate.h"
 #include "step/scaling.h"
-#include "step/variable.h"
+#include "step/step_control.h"
 
 struct dal_stepper {
     dal_motion motion;
@@ -29,7 +27,7 @@ struct dal_stepper {
     dal__variable variable;
     dal__scaling scaling;
     dal__remake remake;
-    dal__guard guard;
+    dal__estimate estimate;
     bool started;
     dal_error error;
     arena arena;
@@ -38,6 +36,10 @@ struct dal_stepper {
 /* DAL_EINVAL unless it is started; unless steps of h lead on from t0. */
 int dal__stepper_started(dal_stepper *stepper);
 int dal__stepper_check_times(dal_stepper *stepper, double t0, double h);
+/* DAL_EINVAL unless the scheme is that of the stepper; DAL_EUNSUPPORTED if its steps cannot be
+ * resumed, for that which is named. */
+int dal__stepper_check_scheme(const dal_stepper *stepper, const dal_scheme *scheme,
+                              const char *name, dal_error *error);
 /* 1, or -1 if its steps, of a stepper that is started, lead back. */
 static inline double dal__stepper_direction(const dal_stepper *stepper)
 {

@@ -1,5 +1,5 @@
 /* Steps whose size varies: each begins where the one before ended. */
-#include "step/variable.h"
+#include "step/step_control.h"
 
 #include "step/stepper.h"
 

@@ -47,7 +47,7 @@ static const double RESOLUTION = 1e-9; /* least size, relative to the largest co
 
 /* ---- sizes ------------------------------------------------------------------------------ */
 
-static void see(dal__guard *g, size_t n, const double *x)
+static void see(dal__estimate *g, size_t n, const double *x)
 {
     for (size_t i = 0; i < 2 * n; i++) {
         g->low[i] = fmin(g->low[i], x[i]);
@@ -56,13 +56,13 @@ static void see(dal__guard *g, size_t n, const double *x)
 }
 
 /* The size of entry i of a state: the range of a q, the largest |v|. */
-static double size_of(const dal__guard *g, size_t n, size_t i)
+static double size_of(const dal__estimate *g, size_t n, size_t i)
 {
     return i < n ? g->high[i] - g->low[i] : fmax(fabs(g->low[i]), fabs(g->high[i]));
 }
 
 /* The largest size among the n entries from `begin` on. */
-static double largest(const dal__guard *g, size_t n, size_t begin)
+static double largest(const dal__estimate *g, size_t n, size_t begin)
 {
     double found = 0.0;
     for (size_t i = begin; i < begin + n; i++) found = fmax(found, size_of(g, n, i));
@@ -70,7 +70,7 @@ static double largest(const dal__guard *g, size_t n, size_t begin)
 }
 
 /* The largest |d_i| of d[2n], relative to the size of entry i. */
-static double measure(const dal__guard *g, size_t n, const double *d)
+static double measure(const dal__estimate *g, size_t n, const double *d)
 {
     double far = 0.0, found = 0.0;
     for (size_t i = 0; i < n; i++) far = fmax(far, fmax(fabs(g->low[i]), fabs(g->high[i])));
@@ -90,7 +90,7 @@ static double measure(const dal__guard *g, size_t n, const double *d)
 /* Start to compute `span` steps again: from x at t, step number `first` of the run. */
 static void start(dal_run *run, double t, const double *x, size_t first, size_t span)
 {
-    dal__guard *const g = &run->stepper->guard;
+    dal__estimate *const g = &run->stepper->estimate;
     g->t = t;
     g->first = first;
     g->span = span;
@@ -109,14 +109,14 @@ static int order_of(const dal_stepper *stepper)
 /* The ratio of the difference of the two states to the error. */
 static double scale(const dal_run *run)
 {
-    return fabs(pow(run->stepper->guard.ratio, order_of(run->stepper)) - 1.0);
+    return fabs(pow(run->stepper->estimate.ratio, order_of(run->stepper)) - 1.0);
 }
 
 /* d[2n] <- the estimated error of the state x of the run. */
 static void compare(const dal_run *run, const double *x, double *d)
 {
     const dal_stepper *const stepper = run->stepper;
-    const dal__guard *const g = &stepper->guard;
+    const dal__estimate *const g = &stepper->estimate;
     const double by = scale(run);
     const size_t n = stepper->mech.n;
     const double back = stepper->shift * (g->h - stepper->motion.h); /* of kept nodes */
@@ -128,7 +128,7 @@ static void compare(const dal_run *run, const double *x, double *d)
 static bool go(dal_run *run, size_t budget)
 {
     dal_stepper *const stepper = run->stepper;
-    dal__guard *const g = &stepper->guard;
+    dal__estimate *const g = &stepper->estimate;
     const size_t width = run->inputs ? stepper->motion.system->def.inputs : 0;
     const size_t fold = g->ratio > 1.0 ? (size_t)g->ratio : 1; /* steps of the run in one */
     while (g->at < g->span && budget > 0) {
@@ -172,7 +172,7 @@ static size_t window_at(size_t step)
 
 static void plan_window(const dal_run *run)
 {
-    dal__guard *const g = &run->stepper->guard;
+    dal__estimate *const g = &run->stepper->estimate;
     g->open = false;
     g->window = window_at(run->done - g->begin);
     g->next = run->done + (run->inputs ? APART_HALVED - 1 : APART - 1) * g->window;
@@ -181,7 +181,7 @@ static void plan_window(const dal_run *run)
 static void add_window(dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
-    dal__guard *const g = &stepper->guard;
+    dal__estimate *const g = &stepper->estimate;
     const size_t N = 2 * stepper->mech.n;
     dal__remake_begin(stepper);
     start(run, g->window_t, g->x, run->done - g->window, g->window);
@@ -209,7 +209,7 @@ static void add_window(dal_run *run)
 static void begin_piece(const dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
-    dal__guard *const g = &stepper->guard;
+    dal__estimate *const g = &stepper->estimate;
     memcpy(g->from, stepper->motion.x, 2 * stepper->mech.n * sizeof *g->from);
     g->piece = run->done;
     g->piece_t = dal_stepper_time(stepper);
@@ -218,7 +218,7 @@ static void begin_piece(const dal_run *run)
 }
 
 /* The step at which the next mark is stored. */
-static size_t next_mark(const dal__guard *g)
+static size_t next_mark(const dal__estimate *g)
 {
     return g->marks * g->apart == MOST ? SIZE_MAX : g->piece + (g->marks + 1) * g->apart;
 }
@@ -226,7 +226,7 @@ static size_t next_mark(const dal__guard *g)
 /* Store the state as a mark to compare with; if there is no room, drop every second mark. */
 static void set_mark(const dal_run *run)
 {
-    dal__guard *const g = &run->stepper->guard;
+    dal__estimate *const g = &run->stepper->estimate;
     const size_t N = 2 * run->stepper->mech.n;
     if (g->marks == DAL__MARKS) {
         for (size_t k = 0; 2 * k < DAL__MARKS; k++)
@@ -239,11 +239,11 @@ static void set_mark(const dal_run *run)
     if (run->done - g->piece == MOST) g->sum_of_most = measure(g, run->stepper->mech.n, g->sum);
 }
 
-void dal__guard_begin(dal_run *run)
+void dal__estimate_begin(dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
     const dal_scheme *const scheme = &stepper->scheme;
-    dal__guard *const g = &stepper->guard;
+    dal__estimate *const g = &stepper->estimate;
     const size_t N = 2 * stepper->mech.n;
     if (g->run == run && (run->done > 0 || run->stored > 0)) return;
     g->run = run;
@@ -271,12 +271,12 @@ void dal__guard_begin(dal_run *run)
     g->next = SIZE_MAX;
     if (run->steps - run->done < SHORT) return;
     g->next = run->done;
-    dal__guard_look(run);
+    dal__estimate_look(run);
 }
 
-size_t dal__guard_stop(const dal_run *run)
+size_t dal__estimate_stop(const dal_run *run)
 {
-    const dal__guard *const g = &run->stepper->guard;
+    const dal__estimate *const g = &run->stepper->estimate;
     const size_t window = g->open ? g->next + g->window : g->next, mark = next_mark(g);
     size_t stop = g->seen < window ? g->seen : window;
     if (!g->on) return SIZE_MAX;
@@ -284,10 +284,10 @@ size_t dal__guard_stop(const dal_run *run)
     return stop > run->done ? stop - run->done : 1;
 }
 
-void dal__guard_look(dal_run *run)
+void dal__estimate_look(dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
-    dal__guard *const g = &stepper->guard;
+    dal__estimate *const g = &stepper->estimate;
     const size_t N = 2 * stepper->mech.n, here = run->done;
     const double *const x = stepper->motion.x;
     if (!g->on) return;
@@ -316,7 +316,7 @@ void dal__guard_look(dal_run *run)
 static bool is_suspect(const dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
-    dal__guard *const g = &stepper->guard;
+    dal__estimate *const g = &stepper->estimate;
     const dal__energy_jump *const jump = &stepper->energy_jump;
     const size_t N = 2 * stepper->mech.n, steps = run->done - g->begin;
     see(g, stepper->mech.n, stepper->motion.x);
@@ -333,7 +333,7 @@ static bool is_suspect(const dal_run *run)
 static bool conclude(const dal_run *run, const double *x)
 {
     dal_stepper *const stepper = run->stepper;
-    dal__guard *const g = &stepper->guard;
+    dal__estimate *const g = &stepper->estimate;
     const size_t n = stepper->mech.n;
     const bool part = g->span < run->done - g->piece;
     const double more = part ? measure(g, n, g->sum) / g->sum_of_most : 1.0;
@@ -365,17 +365,17 @@ static bool apply_jump(dal_stepper *stepper)
 }
 
 /* Discard the error of a part of the run, unless steps computed again show that h is too large. */
-static void discard_part(dal__guard *g)
+static void discard_part(dal__estimate *g)
 {
     if (g->whole ? g->piece == 0 || g->error > DAL_LARGE_ERROR : g->begin == 0) return;
     g->error = (double)NAN;
     g->whole = false;
 }
 
-void dal__guard_check(dal_run *run, size_t budget)
+void dal__estimate_check(dal_run *run, size_t budget)
 {
     dal_stepper *const stepper = run->stepper;
-    dal__guard *const g = &stepper->guard;
+    dal__estimate *const g = &stepper->estimate;
     const size_t steps = run->done - g->piece, span = steps < MOST ? steps : MOST;
     if (!g->on || g->over) return;
     if (!g->checking && (!is_suspect(run) || steps < LEAST)) {

@@ -1,12 +1,36 @@
-/* guard.h - data of the estimate of the error of a run. */
-#ifndef DAL__GUARD_H
-#define DAL__GUARD_H
+/* estimate.h - the estimate of the error of a run, by steps that are computed again. */
+#ifndef DAL__ESTIMATE_H
+#define DAL__ESTIMATE_H
 
-#include "dalembert.h"
+#include "geometry/geometry.h"
+#include "step/snapshot.h"
+
+/* Steps of the motion that are computed again with another h (remake.c). */
+typedef struct dal__remake {
+    dal__snapshot here, there; /* of the motion; of the other steps, between two calls */
+    dal_stats stats;        /* the rest of the motion */
+    dal__calls calls;
+    size_t steps, paused;   /* of the motion; of the other steps */
+    double *input, *applied; /* [inputs] */
+    dal_watch_fn watch;
+    struct dal__guards guards; /* of the other steps: the run has its own */
+    arena arena;
+} dal__remake;
+int dal__remake_make(dal_stepper *stepper, dal_error *error);
+/* Save the motion; restore it. */
+void dal__remake_begin(dal_stepper *stepper);
+void dal__remake_end(dal_stepper *stepper);
+/* Between the two: start with steps of h at x[2n] and t, a state of steps of `from`; compute so
+ * many steps, false if one fails. */
+void dal__remake_start(dal_stepper *stepper, double t, double from, const double *x, double h);
+bool dal__remake_steps(dal_stepper *stepper, size_t steps);
+/* Save the other steps before an end; resume them after the next begin. */
+void dal__remake_pause(dal_stepper *stepper);
+void dal__remake_resume(dal_stepper *stepper);
 
 enum { DAL__MARKS = 16 };
-/* The estimate of the error of a run (run/guard.c).  Numbers of steps are those of the run. */
-typedef struct dal__guard {
+/* The estimate of the error of a run (run/estimate.c).  Numbers of steps are those of the run. */
+typedef struct dal__estimate {
     const struct dal_run *run; /* the run that it belongs to */
     bool on, over;           /* the run has an estimate; it is complete */
     bool checking;           /* the run is computed again */
@@ -35,8 +59,8 @@ typedef struct dal__guard {
     size_t remade;
     bool whole;
     double error;
-} dal__guard;
+} dal__estimate;
 /* Reset the estimate: there is none. */
-void dal__guard_forget(dal_stepper *stepper);
+void dal__estimate_forget(dal_stepper *stepper);
 
-#endif /* DAL__GUARD_H */
+#endif /* DAL__ESTIMATE_H */
