@@ -22,6 +22,7 @@ from typing import Any, NoReturn
 from .. import compiler, core, systems
 from ..core import extras, files
 from ..core.arguments import suggestion
+from ..run.options import IntegrateOptions
 from ..run.scheme import INITIAL
 from ..run.scheme import schemes as named_schemes
 from ..show import pages, report, table, web
@@ -196,9 +197,7 @@ def _add_study_options(study: argparse.ArgumentParser) -> None:
         "all)")
     add("--parameter", action="append", default=[], type=_read("NAME=NUMBER", _parameter),
         metavar="NAME=VALUE", help="set a parameter of the system (repeatable)")
-    add("--q0", type=numbers, metavar="X,Y,...", help="initial positions, at t = 0")
-    add("--v0", type=numbers, metavar="X,Y,...",
-        help="initial velocities, at t = 0, which satisfy the constraint")
+    runs.add_options(study, IntegrateOptions, numbers, names=("q0", "v0"))
     add("--t-end", type=float, metavar="T",
         help="end time of the runs (default: 1, or later if errors would be below roundoff)")
     add("--steps", type=counts, metavar="N,N,...",

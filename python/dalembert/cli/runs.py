@@ -55,7 +55,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
         "uninterrupted run.",
     )  # fmt: skip
     _add_file(goes_on)
-    add_options(goes_on, ResumeOptions, numbers, required=False, without=("path", "check_h"))
+    add_options(goes_on, ResumeOptions, numbers)
     for command in (run, goes_on):
         command.add_argument("--output", type=Path, metavar="FILE", help=_OUTPUT)
     info = commands.add_parser("info", help="show the contents of a journal or a saved run")
@@ -78,18 +78,15 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
         command.set_defaults(run=function)
 
 
-def add_options(
-    command: Any, record: Any, numbers: Any, *, required: bool = True,
-    names: Iterable[str] | None = None, without: Iterable[str] = (),
-) -> None:  # fmt: skip
+def add_options(command: Any, record: Any, numbers: Any, names: Iterable[str] = ()) -> None:
     """Add the options of a record that a command line can have, or those of these names."""
-    end = command.add_mutually_exclusive_group(required=required) if names is None else command
     listed, texts = options_of(record), [""]
+    end = command if names else command.add_mutually_exclusive_group(required="h" in listed)
     for one in reversed(listed.values()):  # without a text, that of the option after it
         texts.append(one.help or texts[-1])
     for name, one in listed.items():
         text = in_words(texts.pop(), listed).replace("%", "%%")
-        if one.parse is None or name in without or (names and name not in names):
+        if one.parse is None or (names and name not in names):
             continue
         how: dict[str, Any] = {"help": text, "default": one.default}
         if one.parse is bool:

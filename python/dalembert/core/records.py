@@ -24,37 +24,18 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Option:
-    """An option.
+    """An option."""
 
-    Attributes
-    ----------
-    type, help : str
-        The type and the meaning, for documentation; without a help, those of the next option.
-    default : object
-    uses : tuple of str, or None
-        The kinds of run to which the option applies; None: all.
-    instead, needs : str
-        Advice where it does not apply; an option without which it has no effect.
-    read : callable or None
-        ``read(value, name)`` returns the value as the run uses it, or raises ValueError.
-    choices : mapping
-        The words that are allowed, with their numbers in C.
-    c : str
-        The member of ``dal_options``.
-    parse, metavar : callable or None, str
-        How the command line reads the value; None: it has no such option.
-    """
-
-    type: str
-    help: str
+    type: str  # for documentation
+    help: str  # the meaning; without it, type and meaning are those of the next option
     default: Any
-    uses: tuple[str, ...] | None
-    instead: str
-    needs: str
-    read: Callable[[Any, str], Any] | None
-    choices: Mapping[str, int]
-    c: str
-    parse: Any
+    uses: tuple[str, ...] | None  # the kinds of run to which it applies; None: all
+    instead: str  # advice where it does not apply
+    needs: str  # an option without which it has no effect
+    read: Callable[[Any, str], Any] | None  # (value, name) -> the value as the run uses it
+    choices: Mapping[str, int]  # the words that are allowed, with their numbers in C
+    c: str  # the member of ``dal_options``
+    parse: Any  # reads the value on a command line, which has no such option if None
     metavar: str
 
     def take(self, value: Any, name: str) -> Any:
@@ -86,7 +67,7 @@ def extended(record: Any, name: str, more: str = "", **changes: Any) -> dict[str
     """Return the metadata of an option of a record, with more to say about it."""
     told = options_of(record)[name]
     help = "\n\n".join(filter(None, (told.help, inspect.cleandoc(more))))
-    return {"option": dataclasses.replace(told, help=help, **changes)}
+    return {"option": dataclasses.replace(told, **{"help": help, **changes})}
 
 
 def _options_of(record: Any) -> dict[str, Option]:
@@ -127,22 +108,16 @@ def documents(record: Any) -> Shared:
         if one.help:
             optional = ", optional" * (one.default is not MISSING)
             lines += [f"{', '.join(names)} : {one.type}{optional}"]
-            lines += [textwrap.indent(one.help, "    ")] * (one.help != "-")
+            lines += [textwrap.indent(one.help, "    ")]
             names.clear()
     made: Shared = type("Options", (Shared,), {"__doc__": "\n".join(lines)})()
     return made
 
 
 class Record:
-    """The common part of all records.
+    """The common part of all records."""
 
-    Attributes
-    ----------
-    renamed : mapping of str to str
-        Former names of options, which give a DeprecationWarning, and their names.
-    """
-
-    renamed: ClassVar[Mapping[str, str]] = {}
+    renamed: ClassVar[Mapping[str, str]] = {}  # names of options by former names, which warn
 
     @classmethod
     def of(cls, name: str, args: tuple[Any, ...], given: dict[str, Any]) -> Self:

@@ -58,7 +58,8 @@ def ensemble(*args: Any, **given: Any) -> Ensemble:
     """Integrate many runs of a system with other initial data, parameters or step sizes.
 
     Each member gives bitwise the same result as its own `integrate` call, on any number of threads
-    or machines.  A member that fails is recorded with its error message.
+    or machines.  Initial data, parameters, step sizes and inputs may differ between members; all
+    other options are the same.  A member that fails is recorded with its error message.
 
     Returns
     -------

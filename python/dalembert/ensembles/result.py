@@ -103,7 +103,7 @@ class Stored:
         return {
             index * self._size + k: text
             for index in self._there
-            for k, text in store.read_some(self.path, index, self.mark, "messages").items()
+            for k, text in store.read(self.path, index, self.mark, "messages")["messages"].items()
         }
 
     def names(self) -> list[str]:
@@ -138,7 +138,7 @@ class Stored:
 
     def _of_block(self, index: int, name: str) -> Array | None:
         """Return an array of a block; raise StoreError if its shape or type is wrong."""
-        return self._checked(index, name, store.read_some(self.path, index, self.mark, name))
+        return self._checked(index, name, store.read(self.path, index, self.mark, name).get(name))
 
     def _checked(self, index: int, name: str, x: Array | None) -> Array | None:
         shape, kind, _ = self._layout.get(name, (None, None, None))

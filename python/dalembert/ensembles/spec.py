@@ -96,27 +96,13 @@ def broadcast(value: ArrayLike, name: str, *tail: int | None) -> Broadcast:
 
 @dataclass(frozen=True)
 class Output:
-    """The results kept for each member.
+    """The results kept for each member."""
 
-    Attributes
-    ----------
-    at_end : bool
-        Only the last state; otherwise a row for each stride steps.
-    states : bool
-        The states.
-    measures : tuple of str
-        "energy", "residual", "multipliers", "reactions".
-    columns : mapping of str to int
-        Name of a coordinate or velocity to its place in a state.
-    reduce : callable or None
-        A function of the `Solution` whose result is kept instead of all others.
-    """
-
-    at_end: bool
+    at_end: bool  # only the last state; otherwise a row for each stride steps
     states: bool = False
-    measures: tuple[str, ...] = ()
-    columns: Mapping[str, int] = field(default_factory=dict)
-    reduce: Callable[[Any], Any] | None = None
+    measures: tuple[str, ...] = ()  # "energy", "residual", "multipliers", "reactions"
+    columns: Mapping[str, int] = field(default_factory=dict)  # places in a state, by name
+    reduce: Callable[[Any], Any] | None = None  # a function of a `Solution`, instead of all others
 
     @classmethod
     def of(cls, keep: Any, system: System) -> Output:
@@ -228,19 +214,12 @@ class EnsembleOptions(Events, Inputs, Sampling, Step, Extent, Size, _Members):
 class Common:
     """The properties common to all members.
 
-    Attributes
-    ----------
-    options : IntegrateOptions
-        Those of each member; its own initial data, step size, number of steps and inputs, if they
-        are rows, replace them.
-    stride : int
-        Number of steps between rows; 0: the end alone.
-    output : Output
-    lanes : bool
+    The initial data of a member, its step size, number of steps and rows of inputs replace those of
+    the options.
     """
 
     options: IntegrateOptions
-    stride: int
+    stride: int  # 0: the end alone
     output: Output
     lanes: bool = False
 
@@ -275,22 +254,12 @@ class Common:
 
 @dataclass(frozen=True)
 class EnsembleSpec:
-    """The definition of an ensemble.
-
-    Attributes
-    ----------
-    shape : tuple of int
-        Shape of the broadcast arguments; the members are numbered in C order.
-    axes : tuple of str
-        Names of the axes.
-    ticks : dict of ndarray
-        Values along axes, by the name of the axis.
-    """
+    """The definition of an ensemble."""
 
     common: Common
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # of the broadcast arguments; members are numbered in C order
     axes: tuple[str, ...]
-    ticks: dict[str, Array]
+    ticks: dict[str, Array]  # values along axes, by name
     q0: Broadcast | None
     v0: Broadcast | None
     parameters: dict[str, Broadcast]

@@ -160,13 +160,18 @@ def there(directory: str, mark: str, count: int) -> list[int]:
     return found
 
 
-def read(directory: str, index: int, mark: str) -> block.Block:
-    """Return a block; raise StoreError if its file is damaged, or belongs to another ensemble."""
+def read(directory: str, index: int, mark: str, *names: str) -> block.Block:
+    """Return a block, or its arrays of these names, as far as it has them.
+
+    A file that is damaged, or belongs to another ensemble, raises StoreError.
+    """
     path = _path(directory, index)
-    arrays = _load(path)
-    _require(path, arrays.pop("mark", None), mark, index)
-    messages = dict(zip(arrays.pop("failed").tolist(), arrays.pop("messages").tolist()))
-    return {**arrays, "messages": messages}
+    found = _load(path, ("mark", "failed", *names) if names else None)
+    _require(path, found.pop("mark", None), mark, index)
+    failed = found.pop("failed")
+    if "messages" in found:
+        found["messages"] = dict(zip(failed.tolist(), found["messages"].tolist()))
+    return found
 
 
 def names(directory: str, index: int) -> list[str]:
@@ -174,17 +179,6 @@ def names(directory: str, index: int) -> list[str]:
     with zipfile.ZipFile(_path(directory, index)) as file:
         found = [name.removesuffix(".npy") for name in file.namelist()]
     return [name for name in found if name not in ("mark", "failed", "messages")]
-
-
-def read_some(directory: str, index: int, mark: str, name: str) -> Any:
-    """Return an array of a block, None if the block has none of this name; or its messages."""
-    path = _path(directory, index)
-    wanted = ("failed", "messages") if name == "messages" else (name,)
-    found = _load(path, ("mark", *wanted))
-    _require(path, found.get("mark"), mark, index)
-    if name == "messages":
-        return dict(zip(found["failed"].tolist(), found["messages"].tolist()))
-    return found.get(name)
 
 
 def _check(path: Path, mark: str, index: int) -> None:

@@ -138,8 +138,9 @@ def integrate(*args: Any, **given: Any) -> Solution:
 def resume(*args: Any, **given: Any) -> Solution:
     """Resume a run from its journal; the result is bitwise identical to an uninterrupted run.
 
-    Scheme, step size and output times are those of the journal.  Pass functions again.  States
-    after the last snapshot are computed again and compared with the journal.
+    Scheme, step size and output times are those of the journal.  Pass the inputs and events of the
+    whole run again, if it has any; expressions of inputs have to be the same.  States after the
+    last snapshot are computed again and compared with the journal.
 
     Only the error of the resumed part can be estimated.  ``stats.error`` has it if it exceeds 0.05,
     with the warning that h is too large; otherwise it is nan.

@@ -119,16 +119,7 @@ def _shown(law: Mapping[str, Any] | None) -> str:
 
 
 class Journal:
-    """An open journal.
-
-    Attributes
-    ----------
-    path : str
-    info : cdata
-        The ``dal_journal_info`` at the time of opening.
-    about : dict
-        The result of `describe`.
-    """
+    """An open journal; ``info`` is its ``dal_journal_info``, ``about`` the result of `describe`."""
 
     def __init__(self, path: str, handle: Any, goes_on: bool) -> None:
         self.path, self._handle, self._tells = path, handle, goes_on

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from .. import core
 from ..core import Array, arguments, ffi, lib, require_system
 from ..core.extras import Progress
-from ..core.records import Option, Record, meaning, option, options_of
+from ..core.records import Option, Record, extended, meaning, option, options_of
 from ..system import System
 from . import events
 from .scheme import INITIAL, METHODS, Scheme
@@ -152,7 +152,7 @@ class RunRecord(Record):
 class Options(RunRecord):
     """The options with which every run begins."""
 
-    system: System = field(metadata=meaning("System", "-"))
+    system: System = field(metadata=meaning("System", "The system."))
     scheme: Scheme | str | float | None = option("Scheme, str or float", """
         A scheme, its name, or beta.  "reference" is the adaptive flow of the ODE on D, observed
         every ``h * stride``: the best choice for short accurate runs.  Default: the cheapest scheme
@@ -400,8 +400,12 @@ class _Journalled(RunRecord):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class ResumeOptions(Watching, Events, Inputs, Extent, _Journalled):
-    """The options of `resume`; inputs and events are those of the whole run."""
+    """The options of `resume`."""
 
+    t_end: float | None = field(default=None, metadata=extended(
+        Extent, "t_end", help="New end time of the whole run; default: that of the journal."))
+    steps: int | None = field(default=None, metadata=extended(
+        Extent, "steps", help="New number of steps of the whole run, instead of t_end."))
     scheme: Scheme | None = option(
         "Scheme", "The scheme of the run; required if it is not a scheme of the library.")
 

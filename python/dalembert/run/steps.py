@@ -15,24 +15,13 @@ MOST = 2**62  # steps, where nobody knows how many they will be
 
 @dataclass(frozen=True)
 class Steps:
-    """The steps from t0 to t_end.
-
-    Attributes
-    ----------
-    t0, t_end : float
-    h : float
-        Step size; NaN if it varies.
-    count : int
-        Number of steps, or its limit if the size varies.
-    control : dict
-        The control of the step size: "h", the word for it, and its numbers.  Empty for fixed size.
-    """
+    """The steps from t0 to t_end."""
 
     t0: float
     t_end: float
-    h: float
-    count: int
-    control: Mapping[str, Any]
+    h: float  # NaN if the size varies
+    count: int  # number of steps, or its limit if the size varies
+    control: Mapping[str, Any]  # "h", the word for it, and its numbers; empty for fixed size
 
     @classmethod
     def of(cls, asked: Any) -> Steps:

@@ -17,8 +17,6 @@ from ..core.records import Record, extended, meaning, option
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Lagrangian:
-    """Options: the Lagrangian."""
-
     mass: ArrayLike | None = option("array_like, shape (n, n), (n,) or ()", """
         The mass matrix M, its diagonal, or one mass for all coordinates; M is symmetric and
         positive definite.  Pass either ``mass`` or ``lagrangian``.""")
@@ -43,8 +41,6 @@ class Lagrangian:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Constraints:
-    """Options: the constraints."""
-
     mu: OfPoint | None = option("callable", """
         ``mu(q) -> (m, n)``: mu(q), one row for each constraint.  If neither ``mu`` nor
         ``constraint`` is given, the system has no constraints.""")
@@ -81,8 +77,6 @@ class Constraints:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Forces:
-    """Options: forces and inputs."""
-
     force: OfTime | None = option("callable")
     force_q: OfTime | None = option("callable")
     force_v: OfTime | None = option("callable", """
@@ -104,8 +98,6 @@ class Forces:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class About:
-    """Options: the texts that describe a system."""
-
     name: str = option("str", default="system")
     help: str = option("str", "A name, and a description of one line.", default="")
     description: str = option("str", default="")
@@ -116,8 +108,6 @@ class About:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Names:
-    """Options: numbers and names of coordinates and constraints, formulas, units."""
-
     n: int | None = option("int", """
         Number of coordinates; required if neither ``mass``, ``coordinates`` nor ``q0`` determines
         it.""")
@@ -137,8 +127,6 @@ class Names:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Motion:
-    """Options: initial data and known motions."""
-
     q0: ArrayLike | None = option("array_like, shape (n,)")
     v0: ArrayLike | None = option(
         "array_like, shape (n,)", "Default initial data; pass both or neither.")
@@ -153,8 +141,6 @@ class Motion:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class InC:
-    """Options: callbacks that are C functions."""
-
     kind: str | None = option('{"linear", "affine", "nonlinear"}', """
         How a ``constraint`` given as a C function depends on v; default "linear".""")
     missing: Sequence[str] | None = option("sequence of str", """
