@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-enum { DOUBTS = 4, OF_ROW = 5, UNSEEN = 4096 };
+enum { UNSEEN = 4096 };
 
 #define SECONDS 5.0 /* from snapshot to snapshot */
 
@@ -16,6 +16,22 @@ static size_t quotient_up(size_t a, size_t b) { return a / b + (a % b > 0); }
 static size_t inputs_of(const dal_run *run)
 {
     return run->inputs ? run->stepper->motion.system->def.inputs : 0;
+}
+
+/* Counters of events and rows, and the impulse: in a snapshot, after the stepper and the guards. */
+static void keep(dal_run *run, dal__archive *a)
+{
+    dal_events none = {0}, *const e = run->events ? run->events : &none;
+    dal__archive_counter(a, &e->doubts);
+    dal__archive_counter(a, &e->doubt_event);
+    dal__archive_any(a, &e->doubt_t);
+    dal__archive_any(a, &e->doubt_g);
+    dal__archive_any(a, &run->t_begin);
+    dal__archive_any(a, &run->row_time);
+    dal__archive_counter(a, &run->row_step);
+    dal__archive_counter(a, &run->rows_set);
+    dal__archive_counter(a, &run->rows_set_before);
+    dal__archive_vector(a, run->stepper->mech.m, run->stepper->motion.impulse);
 }
 
 /* The head of a journal of this run, but for what only the caller knows. */
@@ -33,8 +49,9 @@ static dal__head head_of(const dal_run *run)
         .n = stepper->mech.n, .m = m, .inputs = inputs_of(run), .stride = run->stride,
         .input_steps = dal__input_steps(run), .input_rows = input_rows, .events = events,
         .input_duration = controlled && run->inputs ? run->input_duration : 0.0};
-    head.snapshot = dal_stepper_saved(stepper) + guards + DOUBTS + OF_ROW + m
-                  + dal__times(input_rows, head.inputs);
+    dal__archive a = {.mode = DAL__COUNT, .at = dal_stepper_saved(stepper) + guards};
+    keep((dal_run *)run, &a);
+    head.snapshot = a.at + dal__times(input_rows, head.inputs);
     return head;
 }
 
@@ -124,25 +141,16 @@ int dal__journal_times(const dal_run *run, size_t before)
 static int save(const dal_run *run)
 {
     dal_journal *const self = run->journal;
-    const dal_events *const e = run->events;
-    const size_t m = run->stepper->mech.m;
-    double *to = self->snapshot;
-    const int status = dal_stepper_save(run->stepper, to);
+    const int status = dal_stepper_save(run->stepper, self->snapshot);
     if (status) return status;
-    to += dal_stepper_saved(run->stepper);
-    if (e) {
-        const double doubts[DOUBTS] = {(double)e->doubts, (double)e->doubt_event, e->doubt_t,
-                                       e->doubt_g};
-        dal_events_save(e, to);
-        memcpy(to + dal_events_saved(e), doubts, sizeof doubts);
-        to += dal_events_saved(e);
+    dal__archive a = {.mode = DAL__SAVE, .to = self->snapshot,
+                      .at = dal_stepper_saved(run->stepper)};
+    if (run->events) {
+        dal_events_save(run->events, a.to + a.at);
+        a.at += dal_events_saved(run->events);
     }
-    to += DOUBTS;
-    const double of_row[OF_ROW] = {run->t_begin, run->row_time, (double)run->row_step,
-                                   (double)run->rows_set, (double)run->rows_set_before};
-    memcpy(to, of_row, sizeof of_row);
-    memcpy(to + OF_ROW, run->stepper->motion.impulse, m * sizeof *to);
-    if (!run->ended) take_inputs(run, run->done, to + OF_ROW + m);
+    keep((dal_run *)run, &a);
+    if (!run->ended) take_inputs(run, run->done, a.to + a.at);
     self->mark.steps = run->steps;
     self->mark.done = run->done;
     self->mark.stored = run->stored;
@@ -451,30 +459,18 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
 {
     dal_stepper *const stepper = run->stepper;
     dal_events *const e = run->events;
-    const size_t m = stepper->mech.m;
-    const double *from = self->snapshot;
-    int status = dal_stepper_restore(stepper, from, dal_stepper_saved(stepper));
+    dal__archive a = {.mode = DAL__RESTORE, .from = self->snapshot,
+                      .at = dal_stepper_saved(stepper)};
+    int status = dal_stepper_restore(stepper, a.from, a.at);
     dal__fail_because(error, status, &stepper->error, "%s, whose scheme is \"%s\": ", self->path,
                       self->head.scheme);
-    from += dal_stepper_saved(stepper);
     if (!status && e) {
-        status = dal_events_restore(e, from, dal_events_saved(e), error);
-        from += dal_events_saved(e);
-        e->doubts = (size_t)from[0];
-        e->doubt_event = (size_t)from[1];
-        e->doubt_t = from[2];
-        e->doubt_g = from[3];
+        status = dal_events_restore(e, a.from + a.at, dal_events_saved(e), error);
+        a.at += dal_events_saved(e);
     }
     if (status) return status;
     dal__estimate_forget(stepper); /* the estimate of an earlier run */
-    from += DOUBTS;
-    run->t_begin = from[0];
-    run->row_time = from[1];
-    run->row_step = (size_t)from[2];
-    run->rows_set = (size_t)from[3];
-    run->rows_set_before = (size_t)from[4];
-    from += OF_ROW;
-    memcpy(stepper->motion.impulse, from, m * sizeof *from);
+    keep(run, &a);
     run->done = (size_t)self->mark.done;
     run->stored = (size_t)self->mark.stored;
     run->times_done = (size_t)self->mark.times_done;
@@ -484,7 +480,7 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
     size_t first, count;
     if (inputs_of(run) == 0 || run->ended) return DAL_SUCCESS;
     pending_inputs(run, run->done, &first, &count);
-    return give_inputs(self, run, first, count, from + m, error);
+    return give_inputs(self, run, first, count, a.from + a.at, error);
 }
 
 int dal_journal_resume(dal_journal *journal, dal_run *run, dal_error *error)
