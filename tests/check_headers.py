@@ -1,4 +1,5 @@
-"""Everything that the headers declare has a comment, which the reference shows.
+"""Everything that the headers declare has a comment, which the reference shows; the first header
+is short enough to be read on the first day.
 
 Usage: ``python check_headers.py FOLDER HEADER...`` with the folder of comments.py.
 """
@@ -11,6 +12,8 @@ import sys
 from check_symbols import declared
 from check_symbols import read as read_all
 
+MOST_LINES = 480
+
 
 def main(folder: str, *headers: str) -> str | None:
     sys.path.insert(0, folder)
@@ -20,6 +23,8 @@ def main(folder: str, *headers: str) -> str | None:
     if left := declared(read_all(headers)) ^ shown:
         return f"either in a header or in the reference, not in both: {sorted(left)}"
     wrong = comments.complaints()
+    if (lines := len(read_all(headers[:1]).splitlines())) > MOST_LINES:
+        wrong.append(f"{headers[0]} has {lines} lines: expected at most {MOST_LINES}")
     if not wrong:
         print(f"{len(shown)} functions, {len(entries)} comments")
     return "\n".join(wrong) or None
