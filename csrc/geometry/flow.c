@@ -133,7 +133,7 @@ size_t dal_flow_chart_changes(const dal_flow *flow) { return flow->chart_changes
 void dal_flow_stats(const dal_flow *flow, dal_stats *stats)
 {
     *stats = (dal_stats){0};
-    dal__guards_tell(flow->guards, stats);
+    dal__guards_report(flow->guards, stats);
 }
 
 size_t dal_flow_evaluations(const dal_flow *flow)

@@ -257,7 +257,7 @@ struct dal__guards {
     dal__creep creep;
 };
 /* Copy the least pivot and the shortest step into the statistics. */
-void dal__guards_tell(const struct dal__guards *guards, dal_stats *stats);
+void dal__guards_report(const struct dal__guards *guards, dal_stats *stats);
 /* A chart of D, chart.c.  It may be part of another object, as a dal_mechanics may. */
 struct dal_chart {
     dal_mechanics mech;

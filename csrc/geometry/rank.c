@@ -222,7 +222,7 @@ int dal__rank_pass(dal__rank *rank, dal_mechanics *mech, double t, double shift,
     return DAL_SUCCESS;
 }
 
-void dal__guards_tell(const struct dal__guards *guards, dal_stats *stats)
+void dal__guards_report(const struct dal__guards *guards, dal_stats *stats)
 {
     stats->least_pivot = guards->rank.least;
     stats->least_pivot_t = guards->rank.t;

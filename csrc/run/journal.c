@@ -389,7 +389,7 @@ static int give_inputs(const dal_journal *self, const dal_run *run, size_t first
     return DAL_SUCCESS;
 }
 
-/* Up to a time of a run with error-controlled steps, the rows of inputs that were handed over. */
+/* Up to a time of a run with error-controlled steps, the rows of inputs that were set. */
 static void count_inputs(dal_run *run, double t)
 {
     const double direction = run->input_duration > 0.0 ? 1.0 : -1.0;

@@ -62,7 +62,7 @@ static bool inputs_change(const dal_run *run, size_t *row)
 }
 
 /* Where the inputs change, those of the steps that follow. */
-static int hand_inputs(dal_run *run)
+static int set_inputs(dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
     const dal_motion *const motion = &stepper->motion;
@@ -178,7 +178,7 @@ int dal_run_go(dal_run *run, size_t budget)
                                                 : run->done % run->stride;
         size_t made = 0, left = run->stride - since;
         if (left > run->steps - run->done) left = run->steps - run->done;
-        status = hand_inputs(run);
+        status = set_inputs(run);
         if (!status && dal__run_varies(run)) status = limit_steps(run);
         if (status) break;
         if (left > budget) left = budget;

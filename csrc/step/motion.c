@@ -42,7 +42,7 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->jump_step = stepper->energy_jump.step;
     stats->jump = stepper->energy_jump.change;
     stats->largest_kinetic = stepper->energy_jump.kinetic;
-    dal__guards_tell(&stepper->guards, stats);
+    dal__guards_report(&stepper->guards, stats);
     stats->remade = stepper->estimate.remade;
     stats->whole = !stepper->estimate.whole ? 0 : stepper->estimate.piece == 0 ? 1 : 2;
     stats->error = stepper->estimate.error;

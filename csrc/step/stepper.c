@@ -314,7 +314,7 @@ int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
 
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
 {
-        dal_stepper *const self = stepper;
+    dal_stepper *const self = stepper;
     dal_motion *const motion = &self->motion;
     *made = 0;
     const int turned = steps > 0 ? dal__stepper_enter_D(self) : DAL_SUCCESS;
