@@ -131,7 +131,7 @@ def _run(
 
 @functools.lru_cache(maxsize=4)
 def _common(pickled: bytes) -> Common:
-    """Return the unpickled common; each process creates its system once."""
+    """Return the unpickled properties; each process creates its system once."""
     common: Common = pickle.loads(pickled)
     return common
 

@@ -408,7 +408,8 @@ class Ensemble(Mapping[str, Any]):
             If xarray is not installed.
         """
         xarray = extras.require("xarray", "to_xarray")
-        found = xarray.Dataset(attrs=self._attributes())
+        about = {"system": self.system.name, "scheme": self.scheme.name, "t0": self.t0}
+        found = xarray.Dataset(attrs=about)
         values = {name: self._lazy(name) for name in self}
         inner = {name: self._inner(name, x.ndim - 1) for name, x in values.items()}
         used = {*values, "t", "q0", "v0", *(dim for dims in inner.values() for dim in dims)}
@@ -435,9 +436,6 @@ class Ensemble(Mapping[str, Any]):
             t = self.t if self.t.ndim == 1 else self.t.reshape(*self.shape, -1)
             found = found.assign_coords(t=(dims, t))
         return found
-
-    def _attributes(self) -> dict[str, Any]:
-        return {"system": self.system.name, "scheme": self.scheme.name, "t0": self.t0}
 
     def _inner(self, name: str, count: int) -> tuple[str, ...]:
         """Return the names of the axes of one member."""

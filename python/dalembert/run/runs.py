@@ -76,16 +76,11 @@ def started_stepper(
     if status < 0:
         hint = OFF_D if status == lib.DAL_EOFFD else ""
         if hint and system.is_driven:
-            hint = of_inputs(system, inputs) + hint
+            values = np.zeros(len(system.inputs)) if inputs is None else inputs
+            first = ", ".join(f"{name} = {u:g}" for name, u in zip(system.inputs, values))
+            hint = f"; the first inputs are {first}{hint}"
         core.check(status, stepper, system.kind, hint=hint, step=0, t=t0)
     return stepper
-
-
-def of_inputs(system: System, inputs: Array | None) -> str:
-    """Return words for the D at the start, if D depends on inputs."""
-    values = np.zeros(len(system.inputs)) if inputs is None else inputs
-    first = ", ".join(f"{name} = {u:g}" for name, u in zip(system.inputs, values))
-    return f"; the first inputs are {first}"
 
 
 def consistent_state(

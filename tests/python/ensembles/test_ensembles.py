@@ -168,10 +168,12 @@ def test_inputs_and_events_with_steps_of_variable_size():
 
 def test_failures_with_steps_of_variable_size():
     system = dal.systems.sleigh()
-    v0 = system.v0 + np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.0]])
-    with pytest.warns(dal.DalembertWarning, match="1 of 2 members failed"):
-        found = many(system, None, system.q0, v0, h="auto", t_end=1)
-    assert found.success.tolist() == [True, False] and np.isnan(found.q[1]).all()
+    v0 = system.v0 + np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 0.0]] * 2)
+    values = {"J": [1.0, 2.0, 0.5, 1.5]}
+    with pytest.warns(dal.DalembertWarning, match="2 of 4 members failed"):
+        found = many(system, None, system.q0, v0, values, h="auto", t_end=1, block=4, keep=EACH)
+    assert found.success.tolist() == [False, True] * 2 and np.isnan(found.q[::2]).all()
+    check_members(found, only=[1, 3])
     x = dal.coordinates("x")[0]
     wall = dal.System.from_sympy(x.d**2 / 2 - sympy.log(1 - x), q0=[0], v0=[1])
     for events in ([], [lambda t, q, v: q[0] + 10.0]):  # in C, and one by one
