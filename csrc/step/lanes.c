@@ -23,7 +23,7 @@ struct dal__lanes {
     dal_lanes_block block;
     dal_stage *stage;
     size_t n, m, width;
-    size_t given, carried; /* vectors of a block */
+    dal_lanes_layout places; /* of the numbers of a lane */
     member *member;        /* [width] */
     double *largest;       /* [width*m] of their ranks */
     arena arena;
@@ -68,20 +68,22 @@ int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error
         return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" has no vector routine for this "
                          "system", like->scheme.name);
     const dal_lanes_routine *const routine = find_routine(system, 0);
-    const size_t n = k->n, m = k->m, rows = m > 0 ? m : 1, parameters = routine->parameters;
+    const size_t n = k->n, m = k->m, kinds = k->kinds;
+    const bool momenta = dal__has_momenta(system);
     dal__lanes shape = {.system = system, .routine = routine, .n = n, .m = m, .width = width,
-                        .given = 4 + n * n + 2 * n + parameters,
-                        .carried = DAL_LANES_X + 8 * n + rows};
-    shape.block = (dal_lanes_block){.stages = k->stages, .plain = k->plain,
-                                    .steady = k->steady != 0, .parameters = parameters};
+                        .places = dal_lanes_layout_of(n, m, momenta, kinds, routine->parameters,
+                                                      routine->inputs)};
+    shape.block = (dal_lanes_block){.stages = k->stages, .plain = k->plain, .turns = k->turns,
+                                    .steady = k->steady, .momenta = momenta, .kinds = kinds,
+                                    .parameters = routine->parameters, .inputs = routine->inputs};
     dal__lanes *self;
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__reserve(&memory, &shape.stage, k->stages, sizeof *shape.stage);
     dal__reserve(&memory, &shape.member, width, sizeof *shape.member);
     DAL__RESERVE(&memory, dal__times(m, width), &shape.largest);
-    DAL__RESERVE(&memory, dal__times(shape.given, width), &shape.block.given);
-    DAL__RESERVE(&memory, dal__times(shape.carried, width), &shape.block.carried);
+    DAL__RESERVE(&memory, dal__times(shape.places.count, width), &shape.block.numbers,
+                 &shape.block.saved);
     const int status = dal__allocate(&memory, error);
     if (status) return status;
     /* the slots that the arena has filled are those of shape */
@@ -112,60 +114,80 @@ size_t dal__lanes_use(dal__lanes *lanes, size_t vector)
 
 /* ---- numbers of a lane ------------------------------------------------------------------ */
 
-/* Number i of a lane, of arrays of so many vectors. */
-static double *at(const dal__lanes *lanes, double *values, size_t vectors, size_t lane, size_t i)
+/* Number i of a lane. */
+static double *at(const dal__lanes *lanes, size_t lane, size_t i)
 {
     const size_t vector = lanes->routine->vector;
-    return values + (lane / vector * vectors + i) * vector + lane % vector;
-}
-
-static double *given(const dal__lanes *lanes, size_t lane, size_t i)
-{
-    return at(lanes, lanes->block.given, lanes->given, lane, i);
-}
-
-static double *carried(const dal__lanes *lanes, size_t lane, size_t i)
-{
-    return at(lanes, lanes->block.carried, lanes->carried, lane, i);
+    return lanes->block.numbers + (lane / vector * lanes->places.count + i) * vector
+         + lane % vector;
 }
 
 /* Numbers from number i on, count of them. */
-static void give(const dal__lanes *lanes, size_t lane, size_t i, size_t count, const double *from)
-{
-    for (size_t k = 0; k < count; k++) *given(lanes, lane, i + k) = from[k];
-}
-
 static void write(const dal__lanes *lanes, size_t lane, size_t i, size_t count, const double *from)
 {
-    for (size_t k = 0; k < count; k++) *carried(lanes, lane, i + k) = from[k];
+    for (size_t k = 0; k < count; k++) *at(lanes, lane, i + k) = from[k];
 }
 
 static void read(const dal__lanes *lanes, size_t lane, size_t i, size_t count, double *to)
 {
-    for (size_t k = 0; k < count; k++) to[k] = *carried(lanes, lane, i + k);
+    for (size_t k = 0; k < count; k++) to[k] = *at(lanes, lane, i + k);
 }
 
 /* ---- members ---------------------------------------------------------------------------- */
 
+/* What stages with momenta need from step to step. */
+static void put_momenta(const dal__lanes *lanes, size_t lane, const dal_kernel *k)
+{
+    const dal_lanes_layout *const to = &lanes->places;
+    const size_t n = lanes->n;
+    *at(lanes, lane, to->carried) = k->carried;
+    *at(lanes, lane, to->latest_span) = k->latest_span;
+    write(lanes, lane, to->momentum, n, k->momentum);
+    write(lanes, lane, to->latest, lanes->m, k->latest);
+    write(lanes, lane, to->history, 4 * n * k->kinds, k->history);
+    for (size_t i = 0; i < k->kinds; i++) *at(lanes, lane, to->known + i) = k->known[i];
+}
+
+static void take_momenta(const dal__lanes *lanes, size_t lane, dal_kernel *k)
+{
+    const dal_lanes_layout *const from = &lanes->places;
+    const size_t n = lanes->n;
+    k->carried = *at(lanes, lane, from->carried) != 0.0;
+    k->latest_span = *at(lanes, lane, from->latest_span);
+    read(lanes, lane, from->momentum, n, k->momentum);
+    read(lanes, lane, from->latest, lanes->m, k->latest);
+    read(lanes, lane, from->history, 4 * n * k->kinds, k->history);
+    for (size_t i = 0; i < k->kinds; i++)
+        k->known[i] = (unsigned char)*at(lanes, lane, from->known + i);
+}
+
 static void put(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
 {
     const dal_kernel *const k = dal__beta_kernel(stepper);
-    const size_t n = lanes->n, nn = n * n, force = DAL_LANES_X + 7 * n;
-    const double first[] = {k->t0, k->h, k->range[0], k->range[1]};
-    const double begin[DAL_LANES_X] = {
-        [DAL_LANES_PULLED] = k->pulled, [DAL_LANES_FORCED] = k->forced,
-        [DAL_LANES_NUMBER] = (double)stepper->motion.steps,
-        [DAL_LANES_WORST] = k->stats.worst_residual};
-    give(lanes, lane, 0, 4, first);
-    give(lanes, lane, 4, nn, k->mass_inverse);
-    give(lanes, lane, 4 + nn, n, k->unit);
-    give(lanes, lane, 4 + nn + n, n, k->per_unit);
-    give(lanes, lane, 4 + nn + 2 * n, lanes->block.parameters, stepper->motion.system->def.ctx);
-    write(lanes, lane, 0, DAL_LANES_X, begin);
-    write(lanes, lane, DAL_LANES_X, 2 * n, k->at.x);
-    write(lanes, lane, DAL_LANES_X + 2 * n, 5 * n, k->at.pull); /* and low */
-    if (k->forced) write(lanes, lane, force, n, k->force0);
-    write(lanes, lane, force + n, lanes->m, k->impulse);
+    const dal_lanes_layout *const to = &lanes->places;
+    const size_t n = lanes->n;
+    for (size_t i = to->going; i < to->x; i++) *at(lanes, lane, i) = 0.0;
+    *at(lanes, lane, to->t0) = k->t0;
+    *at(lanes, lane, to->h) = k->h;
+    write(lanes, lane, to->range, 2, k->range);
+    if (k->mass_inverse) {
+        write(lanes, lane, to->mass_inverse, n * n, k->mass_inverse);
+        write(lanes, lane, to->unit, n, k->unit);
+        write(lanes, lane, to->per_unit, n, k->per_unit);
+    }
+    if (k->mass_inverse && lanes->block.momenta) write(lanes, lane, to->mass, n * n, k->mass);
+    write(lanes, lane, to->inputs, lanes->block.inputs, k->input);
+    write(lanes, lane, to->parameters, lanes->block.parameters, stepper->motion.system->def.ctx);
+    *at(lanes, lane, to->pulled) = k->pulled;
+    *at(lanes, lane, to->forced) = k->forced;
+    *at(lanes, lane, to->number) = (double)stepper->motion.steps;
+    *at(lanes, lane, to->worst) = k->stats.worst_residual;
+    write(lanes, lane, to->x, 2 * n, k->at.x);
+    write(lanes, lane, to->pull, 3 * n, k->at.pull);
+    write(lanes, lane, to->low, 2 * n, k->at.low);
+    if (k->forced) write(lanes, lane, to->force, n, k->force0);
+    write(lanes, lane, to->impulse, lanes->m, k->impulse);
+    if (lanes->block.momenta) put_momenta(lanes, lane, k);
 }
 
 void dal__lanes_load(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
@@ -180,13 +202,13 @@ void dal__lanes_load(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
                      .calls = stepper->mech.eval.calls, .energy_jump = stepper->energy_jump,
                      .rank.largest = lanes->largest + lane * lanes->m};
     dal__rank_copy(lanes->m, &stepper->guards.rank, &self->rank);
-    *carried(lanes, lane, DAL_LANES_GOING) = 1.0;
+    *at(lanes, lane, lanes->places.going) = 1.0;
 }
 
 void dal__lanes_stop(dal__lanes *lanes)
 {
     for (size_t lane = 0; lane < lanes->width; lane++)
-        *carried(lanes, lane, DAL_LANES_GOING) = 0.0;
+        *at(lanes, lane, lanes->places.going) = 0.0;
 }
 
 void dal__lanes_advance(dal__lanes *lanes, size_t steps)
@@ -196,60 +218,63 @@ void dal__lanes_advance(dal__lanes *lanes, size_t steps)
 
 static size_t counter(const dal__lanes *lanes, size_t lane, size_t i)
 {
-    return (size_t)*carried(lanes, lane, i);
+    return (size_t)*at(lanes, lane, i);
 }
 
 size_t dal__lanes_made(const dal__lanes *lanes, size_t lane)
 {
-    return counter(lanes, lane, DAL_LANES_NUMBER) - lanes->member[lane].begin;
+    return counter(lanes, lane, lanes->places.number) - lanes->member[lane].begin;
 }
 
 void dal__lanes_state(const dal__lanes *lanes, size_t lane, double *x)
 {
-    read(lanes, lane, DAL_LANES_X, 2 * lanes->n, x);
+    read(lanes, lane, lanes->places.x, 2 * lanes->n, x);
 }
 
 void dal__lanes_impulse(const dal__lanes *lanes, size_t lane, double *impulse)
 {
-    read(lanes, lane, DAL_LANES_X + 8 * lanes->n, lanes->m, impulse);
+    read(lanes, lane, lanes->places.impulse, lanes->m, impulse);
 }
 
 void dal__lanes_forget_impulses(dal__lanes *lanes)
 {
     for (size_t lane = 0; lane < lanes->width; lane++)
         for (size_t a = 0; a < lanes->m; a++)
-            *carried(lanes, lane, DAL_LANES_X + 8 * lanes->n + a) = 0.0;
+            *at(lanes, lane, lanes->places.impulse + a) = 0.0;
 }
 
 void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *stepper)
 {
     const member *const self = &lanes->member[lane];
+    const dal_lanes_layout *const from = &lanes->places;
     const size_t n = lanes->n;
     const dal_system_def *const def = &lanes->system->def;
     dal_motion *const motion = &stepper->motion;
     dal_kernel *const k = dal__beta_kernel(stepper);
     k->stats = self->stats;
-    motion->steps = counter(lanes, lane, DAL_LANES_NUMBER);
-    k->stats.worst_residual = *carried(lanes, lane, DAL_LANES_WORST);
-    k->stats.iterations += counter(lanes, lane, DAL_LANES_ITERATIONS);
-    k->stats.constraint_calls += counter(lanes, lane, DAL_LANES_CONSTRAINT_CALLS);
-    const size_t calls = counter(lanes, lane, DAL_LANES_PULL_CALLS);
+    motion->steps = counter(lanes, lane, lanes->places.number);
+    k->stats.worst_residual = *at(lanes, lane, from->worst);
+    k->stats.iterations += counter(lanes, lane, from->counts + DAL_LANES_ITERATIONS);
+    k->stats.constraint_calls += counter(lanes, lane, from->counts + DAL_LANES_CONSTRAINTS);
+    const size_t calls = counter(lanes, lane, from->counts + DAL_LANES_PULLS);
     if (def->potential) k->stats.potential_calls += calls;
     if (def->force) k->stats.force_calls += calls;
+    if (def->lagrangian) k->stats.lagrangian_calls += calls;
     stepper->mech.eval.calls = self->calls;
     stepper->energy_jump = self->energy_jump;
     dal__rank_copy(lanes->m, &self->rank, &stepper->guards.rank);
     stepper->started = true;
     dal__estimate_forget(stepper);
-    k->t0 = motion->t0 = *given(lanes, lane, 0);
-    k->h = motion->h = *given(lanes, lane, 1);
-    k->range[0] = *given(lanes, lane, 2);
-    k->range[1] = *given(lanes, lane, 3);
+    k->t0 = motion->t0 = *at(lanes, lane, from->t0);
+    k->h = motion->h = *at(lanes, lane, from->h);
+    read(lanes, lane, from->range, 2, k->range);
     dal_kernel_forget(k);
-    k->pulled = *carried(lanes, lane, DAL_LANES_PULLED) != 0.0;
-    k->forced = *carried(lanes, lane, DAL_LANES_FORCED) != 0.0;
-    read(lanes, lane, DAL_LANES_X, 2 * n, k->at.x);
-    read(lanes, lane, DAL_LANES_X + 2 * n, 5 * n, k->at.pull); /* and low */
-    read(lanes, lane, DAL_LANES_X + 7 * n, n, k->force0);
+    k->pulled = *at(lanes, lane, from->pulled) != 0.0;
+    k->forced = *at(lanes, lane, from->forced) != 0.0;
+    read(lanes, lane, from->x, 2 * n, k->at.x);
+    read(lanes, lane, from->pull, 3 * n, k->at.pull);
+    read(lanes, lane, from->low, 2 * n, k->at.low);
+    read(lanes, lane, from->force, n, k->force0);
     dal__lanes_impulse(lanes, lane, k->impulse);
+    if (lanes->block.momenta) take_momenta(lanes, lane, k);
 }

@@ -110,45 +110,14 @@ typedef enum dal_failure {
     DAL_FAILED_FINISH      /* see finish */
 } dal_failure;
 
-/* The vectors and matrices of a stage. */
-typedef struct dal_arrays {
-    double *x;                    /* [2n] the state */
-    double *pull;                 /* [3n] the pulls of the last stages, the latest first */
-    double *low;                  /* [2n] rounding error of x: the exact sum is x + low */
-    double *node, *point, *w;     /* [n] q_k, q~' of the last evaluation, the current v' */
-    double *mu_node, *mu, *N;     /* [m*n] */
-    double *base, *goal, *step;   /* [n] the known part of v', all of it but Z^T kappa, w' - w */
-    double *seen;                 /* [n] the v' at whose q~' mu was evaluated last */
-    double *stored;               /* [n] the position of the new state */
-    double *from;                 /* [n] q_k including low */
-    double *lead, *push;          /* [n] the known part of q~' - q~ and of v' - v, and low */
-    double *move;                 /* [2n] q~' - q~ and v' - v, before they are rounded to x' */
-    double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
-    double *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
-    size_t *row;                  /* [m] */
-    /* as in dal_kernel; constants if the compilation knows that M is 1 */
-    const double *mass_inverse, *unit, *per_unit;
-    size_t next;                  /* distance in mass_inverse to the next entry of the diagonal */
-    /* only for variable sizes: */
-    const dal_rows *rows;         /* stored entries of [m*n]; NULL: all */
-    bool dragged;                 /* V_q stands for -(L_q + f), f at the velocity there */
-} dal_arrays;
-
-typedef struct dal_masses {
-    const double *mass_inverse, *unit, *per_unit;
-} dal_masses;
-
-/* The additional arrays of a stage of momentum.h. */
-typedef struct dal_balance {
-    double *known;                /* [n] the part of p' that is known at the start */
-    double *reaction, *residual;  /* [n] mu_k^T kappa; the residual of the balance */
-    double *share;                /* [n] fraction of the residual that is momentum */
-    double *phi;                  /* [m] */
-    double *L_v, *F;              /* [n] at the last evaluation, F = L_q + f */
-    double *unit, *per_unit;      /* [n] of residual.h for L_vv */
-    double *L_vq, *L_vv, *F_q, *F_v; /* [n*n] at the prediction */
-    double *K, *factors;          /* [n*n] */
-} dal_balance;
+#define dal_real double
+#define dal_flag bool
+#define dal_exchange size_t
+#define DAL_ARRAYS(name) dal_##name
+#include <dalembert/arrays.h>
+#undef dal_real
+#undef dal_flag
+#undef dal_exchange
 
 /* Computes L_v[n] and F[n], each or NULL; and either all or none of L_vq[n*n], L_vv[n*n], F_q[n*n]
  * = dF/dq and F_v[n*n] = dF/dv.  Terms of F_q may be omitted. */
@@ -223,20 +192,6 @@ struct dal_kernel {
     } failure;
 };
 
-/* The constant properties of a stage; compile-time constants if they are known. */
-typedef struct dal_traits {
-    const dal_stage *stage;
-    double number; /* number of the step, from 0 */
-    double t_end;  /* time of the end of the stage */
-    dal_pattern has;
-    bool plain, kept, potential, steady;
-    bool turns;  /* as in dal_kernel, for moved nodes */
-    bool ends;     /* V_q acts at the unknown q~' */
-    bool known;    /* mu(q~') needs no evaluation */
-    bool apart;    /* V_q is not needed either: it is evaluated after S, which need not wait for the
-                      state */
-} dal_traits;
-
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
 /* Half of the bound on the residual. */
 #define DAL_KERNEL_LIMIT(n) (2.0 * (double)(n) * DAL_KERNEL_U)
@@ -250,6 +205,13 @@ typedef struct dal_traits {
 /* Largest number of corrections, each at most half of the one before, before the full Newton
  * iteration. */
 enum { DAL_KERNEL_CORRECTIONS = 16 };
+/* The status of an iteration that needs another correction. */
+enum { DAL_KERNEL_AGAIN = 2 };
+/* The time c steps after the beginning of step number. */
+#define DAL_KERNEL_TIME(k, number, c) ((k)->t0 + ((number) + (c)) * (k)->h)
+
+#define DAL_KERNEL_JOIN_(a, b) a##b
+#define DAL_KERNEL_JOIN(a, b) DAL_KERNEL_JOIN_(a, b)
 
 #if defined(__GNUC__)
 #define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
@@ -318,255 +280,9 @@ static inline int dal_kernel_forms(dal_kernel *k, double t, const double *q, con
 }
 
 /* The time c steps after the beginning of step number. */
-DAL_KERNEL_INLINE double dal_kernel_time(const dal_kernel *k, double number, double c)
+static inline double dal_kernel_time(const dal_kernel *k, double number, double c)
 {
-    return k->t0 + (number + c) * k->h;
-}
-
-/* Row a of A[..*n], whose pattern is mask, times x[n].  Sums begin with their first term, or with
- * -0.  The compiler can omit x + -0 = x, whereas 0 + x costs an addition on the critical path. */
-DAL_KERNEL_INLINE double dal_kernel_dot(size_t n, unsigned long long mask, const double *A,
-                                        size_t a, const double *x)
-{
-    double sum = DAL_KERNEL_HAS(mask, a * n) ? A[a * n] * x[0] : -0.0;
-    for (size_t i = 1; i < n; i++)
-        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += A[a * n + i] * x[i];
-    return sum;
-}
-
-/* Component i of Z^T c, for m > 0. */
-DAL_KERNEL_INLINE double dal_kernel_column(size_t n, size_t m, unsigned long long mask,
-                                           const double *Z, size_t i, const double *c)
-{
-    double sum = DAL_KERNEL_HAS(mask, i) ? Z[i] * c[0] : -0.0;
-    for (size_t a = 1; a < m; a++)
-        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += Z[a * n + i] * c[a];
-    return sum;
-}
-
-/* y <- M^-1 f. */
-DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, const dal_arrays *at, size_t n,
-                                             unsigned long long mask, const double *f, double *y)
-{
-    const double *const inverse = at->mass_inverse;
-    if (mask == DAL_KERNEL_ALL && k->diagonal) {
-        for (size_t i = 0; i < n; i++) y[i] = inverse[i * at->next] * f[i];
-        return;
-    }
-    for (size_t i = 0; i < n; i++) y[i] = dal_kernel_dot(n, mask, inverse, i, f);
-}
-
-/* |mu^a| of residual.h for row a of mu[m*n]. */
-DAL_KERNEL_INLINE double dal_kernel_form(const dal_arrays *at, size_t n, unsigned long long mask,
-                                         const double *mu, size_t a)
-{
-    if (at->rows) return dal_rows_extent(at->rows, mu, a, at->unit);
-    double sum = -0.0;
-    for (size_t i = 0; i < n; i++)
-        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += fabs(mu[a * n + i]) * at->unit[i];
-    return sum;
-}
-
-/* Row a of mu[m*n], or of a similar matrix, times x[n]; component i of Z^T c. */
-DAL_KERNEL_INLINE double dal_kernel_product(const dal_arrays *at, size_t n, unsigned long long mask,
-                                            const double *mu, size_t a, const double *x)
-{
-    return at->rows ? dal_rows_dot(at->rows, mu, a, x) : dal_kernel_dot(n, mask, mu, a, x);
-}
-
-DAL_KERNEL_INLINE double dal_kernel_reaction(const dal_arrays *at, size_t n, size_t m,
-                                             unsigned long long mask, size_t i, const double *c)
-{
-    return at->rows ? dal_rows_column(at->rows, at->Z, i, c)
-                    : dal_kernel_column(n, m, mask, at->Z, i, c);
-}
-
-/* The number of stored entries of [m*n]. */
-DAL_KERNEL_INLINE size_t dal_kernel_entries(const dal_arrays *at, size_t n, size_t m)
-{
-    return at->rows ? dal_rows_entries(at->rows) : m * n;
-}
-
-/* The largest number of terms in a sum of mu w, which is n in the bound of the residual. */
-DAL_KERNEL_INLINE size_t dal_kernel_terms(const dal_arrays *at, size_t n)
-{
-    return at->rows ? at->rows->terms : n;
-}
-
-/* Z <- M^-1 mu_node. */
-DAL_KERNEL_INLINE void dal_kernel_direct(const dal_kernel *k, const dal_arrays *at, size_t n,
-                                         size_t m, unsigned long long mask)
-{
-    if (at->rows)
-        for (size_t e = 0; e < dal_rows_entries(at->rows); e++)
-            at->Z[e] = at->mass_inverse[at->rows->column[e]] * at->mu_node[e];
-    else
-        for (size_t a = 0; a < m; a++)
-            dal_kernel_accelerate(k, at, n, mask, at->mu_node + a * n, at->Z + a * n);
-}
-
-/* d <- S^-1 r. */
-DAL_KERNEL_INLINE void dal_kernel_solve(const dal_kernel *k, const dal_arrays *at, size_t m)
-{
-    if (at->rows) k->solve(k);
-    else dal_lu_solve(m, at->S, at->row, at->r, at->d);
-}
-
-/* S <- (mu + b N) Z^T, factored.  The sizes of its rows are the norms of mu and b N in the metric,
- * the sizes of its columns the norms of mu_node.  If there is one entry, its size is the sum of its
- * terms. */
-DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, double b,
-                                        const dal_arrays *at)
-{
-    double terms = -0.0;
-    for (size_t a = 0; a < m; a++) {
-        double size = -0.0;
-        for (size_t c = 0; c < m; c++) at->S[a * m + c] = -0.0;
-        for (size_t i = 0; i < n; i++) {
-            const bool turns = DAL_KERNEL_HAS(has.N, a * n + i);
-            if (!turns && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
-            const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
-            const double entry = turns ? fabs(mu) + fabs(row) : fabs(mu);
-            if (m > 1) size += entry * at->unit[i];
-            for (size_t c = 0; c < m; c++) {
-                if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
-                const double term = row * at->Z[c * n + i];
-                at->S[a * m + c] += term;
-                terms += turns ? entry * fabs(at->Z[c * n + i]) : fabs(term);
-            }
-        }
-        at->sizes[a] = m > 1 ? size : terms;
-        at->sizes[m + a] = m > 1 ? dal_kernel_form(at, n, has.mu, at->mu_node, a) : 1.0;
-    }
-    return dal_lu_factor(m, at->S, at->sizes, at->row);
-}
-
-/* From node i to q~'_i with the velocity w_i, by way.  If turns is true, the velocity constant and
- * both ways equal, they have the same number of ulps of q. So the node is in the middle to the bit.
- * Then a uniformly turning blade loses no energy to the rounding of a large angle.  Each way has
- * half of low: its rounding error is in low twice, and the next two ways remove all of it. */
-DAL_KERNEL_INLINE double dal_kernel_leave(const dal_stage *s, size_t n, bool turns,
-                                          const dal_arrays *at, size_t i, double w, double way)
-{
-    return turns && s->before == s->after && w == at->x[n + i] && at->low[n + i] == 0.0
-               ? at->node[i] + (at->node[i] - at->x[i]) : at->from[i] + way;
-}
-
-/* Computes the stored position from the node and the new velocity; point <- the q~' recovered from
- * it.  With kept nodes q_{k+1} = q_k + h v' is stored, and q~' is recovered as q_{k+1} - (1-beta) h
- * v'. */
-DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n,
-                                        bool kept, bool turns, const dal_arrays *at)
-{
-    const double reach = (kept ? s->span : s->after) * k->h, shift = k->shift * k->h;
-    for (size_t i = 0; i < n; i++) {
-        const double way = reach * at->w[i];
-        at->move[i] = at->lead[i] + way;
-        at->stored[i] = dal_kernel_leave(s, n, turns, at, i, at->w[i], way);
-        at->point[i] = kept ? at->stored[i] - shift * at->w[i] : at->stored[i];
-    }
-}
-
-/* r <- -mu w, with mu at the stored q~'. Returns true if the residual of every constraint is within
- * half of its bound.  If so, stats.worst_residual is raised if the residual exceeds it.  Returns
- * false if r is not finite. */
-DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal_pattern has,
-                                          const dal_arrays *at)
-{
-    const double limit = DAL_KERNEL_LIMIT(dal_kernel_terms(at, n));
-    double largest = k->stats.worst_residual;
-    const double speed = dal_residual_speed(n, at->per_unit, at->w);
-    const double seen = (largest < limit ? largest : limit) * speed;
-    bool settled = true, raised = false;
-    for (size_t a = 0; a < m; a++) {
-        const double sum = dal_kernel_product(at, n, has.mu, at->mu, a, at->w);
-        const double form = dal_kernel_form(at, n, has.mu, at->mu, a);
-        at->r[a] = -sum;
-        /* nor if both are infinite; form * speed may overflow */
-        if (DAL_KERNEL_RARE(!(form * seen > fabs(sum)))) {
-            if (!(form * (limit * speed) - fabs(sum) >= 0.0)) settled = false;
-            if (fabs(sum) > largest * (form * speed)) largest = fabs(sum) / (form * speed);
-            raised = true;
-        }
-    }
-    if (raised && settled) k->stats.worst_residual = largest;
-    return settled;
-}
-
-/* Whether r may be roundoff: of w, the sum of goal and Z^T kappa, and of q~', through N.  No
- * correction would reduce it. */
-DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(size_t n, size_t m, dal_pattern has,
-                                              const dal_arrays *at)
-{
-    const double terms = dal_residual_speed(n, at->per_unit, at->w)
-                       + dal_residual_speed(n, at->per_unit, at->goal);
-    bool roundoff = true;
-    for (size_t a = 0; a < m; a++) {
-        double shifted = 0.0;
-        for (size_t i = 0; !at->rows && i < n; i++)
-            if (DAL_KERNEL_HAS(has.N, a * n + i))
-                shifted += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
-        if (at->rows)
-            shifted = dal_rows_extent(at->rows, at->N, a, at->point)
-                    + dal_rows_extent(at->rows, at->N, a, at->stored);
-        const double form = dal_kernel_form(at, n, has.mu, at->mu, a);
-        const double bound = 2.0 * (double)dal_kernel_terms(at, n) * form * terms;
-        if (!(2.0 * DAL_KERNEL_U * (bound + shifted) - fabs(at->r[a]) >= 0.0)) roundoff = false;
-    }
-    return roundoff;
-}
-
-/* One correction of w and kappa, from V_q(point) in k->force1 if ends, and mu and N at the q~' of
- * seen[n].  If first, kappa was 0.  The equations are v' = goal + Z^T kappa and mu v' + b N (v' -
- * seen) = 0.  The term b N (v' - seen) is the change of mu v' with q~'. */
-DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s, size_t n,
-                                         size_t m, dal_pattern has, bool ends, bool first,
-                                         const double *seen, const dal_arrays *at)
-{
-    const double h = k->h, b = s->after * h;
-    if (ends) dal_kernel_accelerate(k, at, n, has.inverse, k->force1, at->goal);
-    for (size_t i = 0; i < n; i++) {
-        const double kick = ends && DAL_KERNEL_HAS(has.kick, i) ? h * s->end * at->goal[i] : 0.0;
-        at->move[n + i] = at->push[i] - kick;
-        at->goal[i] = at->base[i] - kick;
-        at->step[i] = at->goal[i];
-        if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
-            at->step[i] += dal_kernel_reaction(at, n, m, has.Z, i, at->kappa);
-    }
-    for (size_t a = 0; a < m; a++) {
-        double sum = dal_kernel_product(at, n, has.mu, at->mu, a, at->step);
-        if (has.N) {
-            double turn = -0.0;
-            if (at->rows)
-                for (size_t e = at->rows->first[a]; e < at->rows->first[a + 1]; e++)
-                    turn += at->N[e] * (at->step[at->rows->column[e]] - seen[at->rows->column[e]]);
-            for (size_t i = 0; !at->rows && i < n; i++)
-                if (DAL_KERNEL_HAS(has.N, a * n + i) && DAL_KERNEL_HAS(has.pull, i))
-                    turn += at->N[a * n + i] * (at->step[i] - seen[i]);
-            sum += b * turn;
-        }
-        at->r[a] = -sum;
-    }
-    dal_kernel_solve(k, at, m);
-    for (size_t a = 0; a < m; a++) /* 0 + d would be waited for */
-        at->kappa[a] = first ? at->d[a] : at->kappa[a] + at->d[a];
-    for (size_t i = 0; i < n; i++) {
-        if (!DAL_KERNEL_HAS(has.pull, i)) continue;
-        const double reaction = m > 0 ? dal_kernel_reaction(at, n, m, has.Z, i, at->kappa) : -0.0;
-        const double next = at->goal[i] + reaction;
-        at->move[n + i] += reaction;
-        at->step[i] = next - at->w[i];
-        at->w[i] = next;
-    }
-}
-
-/* Whether V_q need not be evaluated again after a correction of size, if the one before was last.
- * Corrections shrink by the same factor again, and the next stage may give V_q more weight. */
-DAL_KERNEL_INLINE bool dal_kernel_is_balanced(const dal_stage *s, bool first, double size,
-                                              double last, double noise)
-{
-    if (first || size <= noise) return size <= noise;
-    return DAL_KERNEL_SAFETY * size * (size / last) * s->reuse <= noise * fabs(s->end);
+    return DAL_KERNEL_TIME(k, number, c);
 }
 
 /* Adds the contribution of the state x[2n] after stage index to the estimate. */
@@ -649,11 +365,64 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_STEADY -1
 #endif
 
+/* ---- primitives: what lanes.h defines for vectors, here for double and bool */
+#ifndef DAL_KERNEL_LANES
+#define DAL_KERNEL_LANES 0
+#define dal_real double
+#define dal_flag bool
+#define dal_exchange size_t
+#define dal_kernel_of dal_kernel
+#define dal_arrays_of dal_arrays
+#define dal_masses_of dal_masses
+#define dal_balance_of dal_balance
+#define dal_traits_of dal_traits
+#define dal_progress_of dal_progress
+#define dal_spans_of dal_spans
+#define DAL_NUMBER(x) (x)
+#define DAL_ABS(x) fabs(x)
+#define DAL_SQRT(x) sqrt(x)
+#define DAL_FLAG(x) (x)
+#define DAL_SELECT(which, a, b) ((which) ? (a) : (b))
+#define DAL_TAKE(all, which, value, old) (value) /* as select, but value if all is true */
+#define DAL_ANY(which) (which)
+#define DAL_EVERY(which) (which)
+#define DAL_NOT(which) (!(which))
+#define DAL_AND(a, b) ((a) && (b))
+#define DAL_OR(a, b) ((a) || (b))
+#define DAL_ALSO(a, b) ((a) & (b)) /* and, both evaluated */
+#define DAL_COUNT_ITERATION(k, at, which) ((k)->stats.iterations++)
+#define DAL_LEAVE_UNLESS(open, condition) \
+    if (!(condition)) return 1
+#define DAL_GOING(k) true /* the lanes that make the stage */
+#define DAL_REFUSED(k, kind, returned) dal_kernel_refused(k, kind, returned)
+#define DAL_FAIL(k, status, kind) dal_kernel_fail(k, status, kind)
+#define DAL_FACTOR_LU(m, A, sizes, row) (dal_lu_factor(m, A, sizes, row) > 0)
+#define DAL_SOLVE_LU(m, A, row, b, x) dal_lu_solve(m, A, row, b, x)
+#define DAL_ROWS_DOT(rows, A, a, x) dal_rows_dot(rows, A, a, x)
+#define DAL_ROWS_EXTENT(rows, A, a, x) dal_rows_extent(rows, A, a, x)
+#define DAL_ROWS_COLUMN(rows, A, i, c) dal_rows_column(rows, A, i, c)
+#define DAL_CONSTRAINT(k, at, which, t, q, v, mu, N) DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N)
+#define DAL_POTENTIAL(k, at, which, t, q, V_q) DAL_KERNEL_POTENTIAL(k, t, q, V_q)
+#define DAL_DRAG(k, t, q, v, V_q) dal_kernel_drag(k, t, q, v, V_q)
+#define DAL_FORMS(k, at, which, t, q, v, phi, mu, N) DAL_KERNEL_FORMS(k, t, q, v, phi, mu, N)
+#define DAL_BALANCE(k, at, which, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v) \
+    DAL_KERNEL_BALANCE(k, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v)
+#define DAL_VALUES(k, at, which, t, q, v, L_v, F, late) \
+    DAL_KERNEL_VALUES(k, t, q, v, L_v, F, late)
+#define DAL_START(k, t, q, v, L_v, F) DAL_KERNEL_START(k, t, q, v, L_v, F)
+#define DAL_COUNT_START(counts, which)
+/* the weights of the last changes of v; and one more of them is known */
+#define DAL_WEIGHTS(name, k, s) const double *const name = (s)->past[(k)->known[(s)->kind]]
+#define DAL_KNOW_ONE_MORE(k, kind, which) \
+    ((k)->known[kind] = (unsigned char)((k)->known[kind] + ((k)->known[kind] < 4)))
+#define DAL_FRESH(name, size, old) dal_real *const name = (old) /* for results of some lanes */
+#define DAL_EXCHANGES(name) size_t name[DAL_KERNEL_M]
+#define DAL_TALLY(name) bool *const name = NULL
+#endif
+
 #define DAL_KERNEL_TURNS(k) \
     (DAL_KERNEL_STEADY > 1 || (DAL_KERNEL_STEADY < 0 && (k)->turns))
 
-#define DAL_KERNEL_JOIN_(a, b) a##b
-#define DAL_KERNEL_JOIN(a, b) DAL_KERNEL_JOIN_(a, b)
 #define DAL_KERNEL_PART(name) DAL_KERNEL_JOIN(DAL_KERNEL, _##name)
 #define DAL_KERNEL_COPY DAL_KERNEL_PART(copy)
 
@@ -665,9 +434,9 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #endif
 /* An array passed to callbacks, unless they are compiled with the kernel. */
 #if DAL_KERNEL_INSIDE
-#define DAL_KERNEL_SHARED(name, size, offset) double name[size]
+#define DAL_KERNEL_SHARED(name, size, offset) dal_real name[size]
 #else
-#define DAL_KERNEL_SHARED(name, size, offset) double *const name = x + (offset)
+#define DAL_KERNEL_SHARED(name, size, offset) dal_real *const name = x + (offset)
 #endif
 
 /* A variable index would keep an array in memory, also in rarely executed code, in which the
@@ -686,113 +455,64 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #endif
 
 /* memcpy would want arrays in memory too. */
-DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
+DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const dal_real *from, dal_real *to)
 {
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) to[i] = from[i];
 }
 
-/* V_q at q, and at the velocity v for a force that depends on it. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(pull)(dal_kernel *k, const dal_arrays *at, double t,
-                                            const double *q, const double *v, double *V_q)
+#ifdef DAL_N
+/* M^-1 and its units, with 1 and 0 as constants where the compilation knows them. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(take_masses)(const dal_kernel_of *k, dal_real *mass_inverse,
+                                                    dal_real *unit, dal_real *per_unit)
 {
-    (void)t, (void)q, (void)V_q;
-    return at->dragged ? dal_kernel_drag(k, t, q, v, V_q) : DAL_KERNEL_POTENTIAL(k, t, q, V_q);
+    const dal_pattern has = DAL_KERNEL_PATTERN;
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < DAL_N * DAL_N; i++)
+        mass_inverse[i] = has.one >> i / DAL_N & 1 ? DAL_NUMBER(i % (DAL_N + 1) == 0 ? 1.0 : 0.0)
+                                                   : k->mass_inverse[i];
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < DAL_N; i++) {
+        unit[i] = has.one >> i & 1 ? DAL_NUMBER(1.0) : k->unit[i];
+        per_unit[i] = has.one >> i & 1 ? DAL_NUMBER(1.0) : k->per_unit[i];
+    }
 }
-
-/* base, push += the contribution of V at q_k, or at q~. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel *k, const dal_traits *o,
-                                            const dal_arrays *at)
-{
-    const dal_stage *const s = o->stage;
-    DAL_KERNEL_SIZES;
-    const double *const x = at->x;
-    const double h = k->h;
-    const bool at_node = o->plain || s->node != 0.0;
-    double *const force = !at_node ? k->force0
-                        : o->plain && DAL_KERNEL_INSIDE ? at->seen : k->force1;
-    if (o->plain && DAL_KERNEL_INSIDE)
-        for (size_t i = 0; i < n; i++) force[i] = 0.0; /* or some compilers warn */
-    if (at_node || !k->forced) {
-        const double shift = o->kept ? k->shift * h : 0.0;
-        DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
-            at->point[i] = at_node ? at->node[i] : x[i] - shift * x[n + i];
-        const double t = dal_kernel_time(k, o->number, at_node ? s->t_node : s->t_start);
-        const int returned = DAL_KERNEL_PART(pull)(k, at, t, at->point, x + n, force);
-        if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-    }
-    const double weight = h * (at_node ? s->node : s->start);
-    dal_kernel_accelerate(k, at, n, o->has.inverse, force, at->step);
-    for (size_t i = 0; i < n; i++)
-        if (DAL_KERNEL_HAS(o->has.kick, i)) {
-            at->push[i] -= weight * at->step[i];
-            at->base[i] -= weight * at->step[i];
-        }
-    return DAL_SUCCESS;
-}
-
-/* ---- predict: the part of v' that is known, and the pull */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *o,
-                                               const dal_arrays *at)
-{
-    const dal_stage *const s = o->stage;
-    DAL_KERNEL_SIZES;
-    const double *const x = at->x, *const pull = at->pull;
-    const double h = k->h, b = s->after * h;
-    const double before = o->kept ? 0.0 : s->before * h; /* a kept node is the state */
-    for (size_t i = 0; i < n; i++) {
-        const double way = before * x[n + i], near = x[i] + way;
-        const bool even = o->turns && at->low[n + i] == 0.0; /* as where v is constant */
-        at->lead[i] = at->low[i] + way;
-        at->from[i] = even ? x[i] + (0.5 * at->low[i] + way) : near + at->low[i];
-        at->node[i] = even || (s->linear && !o->kept) ? at->from[i] : near;
-        at->push[i] = at->low[n + i];
-        at->base[i] = x[n + i] + at->low[n + i];
-    }
-    if (o->potential && !o->apart) {
-        const int status = DAL_KERNEL_PART(kick)(k, o, at);
-        if (status) return status;
-    }
-    /* The latest pull is added last; q~' does not wait for v', and predictions do not wait for low,
-     * because this is the critical path.  A steady coordinate is not predicted, but known to the
-     * bit. */
-    for (size_t i = 0; i < n; i++) {
-        const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
-        double early = o->steady || o->potential ? at->base[i] : x[n + i];
-        if (pulled) early += s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i];
-        at->w[i] = early;
-        at->point[i] = o->steady || o->turns
-                           ? dal_kernel_leave(s, n, o->turns, at, i, early, b * early)
-                           : at->node[i] + b * early;
-        if (pulled) {
-            at->w[i] += s->ahead[0] * pull[i];
-            at->point[i] += b * s->ahead[0] * pull[i];
-        }
-    }
-    return DAL_SUCCESS;
-}
-
-/* mu at the node, unless it is that of the stage before. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(form_node)(dal_kernel *k, const dal_traits *o,
-                                                 const dal_arrays *at)
-{
-    DAL_KERNEL_SIZES;
-#ifdef DAL_KERNEL_MOMENTA
-    if (k->formed && o->stage->before == 0.0) {
-        DAL_KERNEL_COPY(m * n, k->forms, at->mu_node);
-        return 0;
-    }
 #endif
-    return DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, o->number, o->stage->t_node), at->node,
-                                 at->x + n, at->mu_node, NULL);
+
+/* With an infinite w stored is infinite too, or NaN where b = 0. */
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_finite)(size_t n, const dal_arrays_of *at)
+{
+    dal_real total = DAL_NUMBER(-0.0);
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) total += at->stored[i];
+    return DAL_ABS(total) <= DBL_MAX;
 }
 
-/* ---- look: check of C if the determinant of the factored S leaves its range */
+/* ---- what is done otherwise in lanes */
+#if !DAL_KERNEL_LANES
+/* old <- fresh in these lanes: they are one array. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(take)(size_t n, bool all, bool which, const double *fresh,
+                                             double *old)
+{
+    (void)n, (void)all, (void)which, (void)fresh, (void)old;
+}
+
+/* V_q at q~' becomes that at q~. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(pass_on)(dal_kernel *k, const dal_arrays *at, size_t n,
+                                                bool ends, bool all, bool made, double *force1)
+{
+    (void)at, (void)n, (void)all, (void)made;
+    if (!ends) return;
+    k->force1 = k->force0;
+    k->force0 = force1;
+}
+
+/* Check of C if the determinant of the factored S leaves its range. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(look)(dal_kernel *k, const dal_traits *o,
-                                            const dal_arrays *at)
+                                            const dal_arrays *at, bool *open)
 {
     DAL_KERNEL_SIZES;
+    (void)open;
     if (m == 0) return DAL_SUCCESS;
     const double inverse = at->rows ? at->S[0] : dal_lu_inverse_determinant(m, at->S);
     if (DAL_KERNEL_RARE(!(k->range[0] <= inverse && inverse <= k->range[1]))) {
@@ -802,115 +522,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(look)(dal_kernel *k, const dal_traits *o,
     return DAL_SUCCESS;
 }
 
-/* ---- factor: S, with mu at the prediction, and then at the node: more has to wait for the first.
- * Like iterate it returns > 0 where the stage is left to k->finish. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o,
-                                              const dal_arrays *at)
-{
-    const dal_stage *const s = o->stage;
-    DAL_KERNEL_SIZES;
-    int returned = 0;
-    if (m > 0 && !s->linear)
-        returned = DAL_KERNEL_CONSTRAINT(k, o->t_end, at->point, at->w, at->mu,
-                                         o->steady ? NULL : at->N);
-    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-    if (m > 0) {
-        const int status = DAL_KERNEL_PART(form_node)(k, o, at);
-        if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
-        dal_kernel_direct(k, at, n, m, o->has.inverse);
-    }
-    const size_t entries = dal_kernel_entries(at, n, m);
-    if (s->linear) DAL_KERNEL_COPY(entries, at->mu_node, at->mu);
-    if (s->linear || (o->steady && o->has.N)) {
-        DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < entries; i++) at->N[i] = 0.0;
-    }
-    if (o->ends && returned == 0)
-        returned = DAL_KERNEL_PART(pull)(k, at, o->t_end, at->point, at->w, k->force1);
-    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-    if (returned > 0) return 1;
-    const double b = s->after * k->h;
-    const int sign = at->rows ? k->factor(k, b) : dal_kernel_factor(n, m, o->has, b, at);
-    return sign <= 0 ? 1 : DAL_KERNEL_PART(look)(k, o, at);
-}
-
-/* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *o,
-                                               const dal_arrays *at, bool *settled)
-{
-    const dal_stage *const s = o->stage;
-    DAL_KERNEL_SIZES;
-    double last = HUGE_VAL;
-    bool passed = false; /* mu was not evaluated after the last correction */
-    bool anew = true;    /* nor after the one before, so that this one may be larger */
-    if (o->ends) DAL_KERNEL_COPY(n, at->w, at->seen);
-    for (int iteration = 1; iteration <= DAL_KERNEL_CORRECTIONS; iteration++) {
-        bool balanced = true;
-        int returned = 0;
-        k->stats.iterations++;
-        dal_kernel_newton(k, s, n, m, o->has, o->ends, iteration == 1, o->ends ? at->seen : at->w,
-                          at);
-        dal_kernel_place(k, s, n, o->kept, o->turns, at);
-        if (!o->known || o->ends) {
-            double size = -0.0;
-            for (size_t i = 0; i < n; i++)
-                if (DAL_KERNEL_HAS(o->has.pull, i)) size += fabs(at->step[i]) * at->per_unit[i];
-            const double noise =
-                8.0 * DAL_KERNEL_U * dal_residual_extent(n, at->per_unit, at->goal);
-            if (o->ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
-            if (!(anew || size <= 0.5 * last || size <= noise)) break;
-            anew = passed && balanced;
-            passed = !balanced && size * (size / last) <= DAL_KERNEL_PASSING * noise;
-            last = size;
-        }
-        if (!o->known && !passed) {
-            returned = DAL_KERNEL_CONSTRAINT(k, o->t_end, at->point, at->w, at->mu, NULL);
-            if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-            if (o->ends) DAL_KERNEL_COPY(n, at->w, at->seen);
-        }
-        if (!balanced && returned == 0)
-            returned = DAL_KERNEL_PART(pull)(k, at, o->t_end, at->point, at->w, k->force1);
-        if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-        if (returned > 0) break;
-        if (!balanced) continue;
-        *settled = dal_kernel_settled(k, n, m, o->has, at);
-        if (*settled || o->known || dal_kernel_is_roundoff(n, m, o->has, at)) return DAL_SUCCESS;
-        if (o->steady) return dal_kernel_fail(k, DAL_EINVAL, DAL_FAILED_STEADY);
-    }
-    return 1;
-}
-
-/* With an infinite w stored is infinite too, or NaN where b = 0. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_finite)(size_t n, const dal_arrays *at)
-{
-    double total = -0.0;
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) total += at->stored[i];
-    return fabs(total) <= DBL_MAX;
-}
-
-/* ---- settle: whether the stored state is finite and has a small residual; a kept node would lead
- * to another q~' */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *o,
-                                               const dal_arrays *at, bool solved, bool settled)
-{
-    DAL_KERNEL_SIZES;
-    if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !o->kept)) {
-        dal_kernel_solve(k, at, m);
-        DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < n; i++) {
-            const double mended = at->w[i] + dal_kernel_reaction(at, n, m, o->has.Z, i, at->d);
-            at->move[n + i] += mended - at->w[i];
-            at->w[i] = mended;
-        }
-        settled = dal_kernel_settled(k, n, m, o->has, at);
-    }
-    return settled && DAL_KERNEL_PART(is_finite)(n, at);
-}
-
-/* ---- hand_over: k->finish completes the stage; a state that is not finite is not solved */
+/* k->finish completes the stage; a state that is not finite is not solved. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits *o,
-                                                 const dal_arrays *at, bool *solved)
+                                                 const dal_arrays *at, bool *solved, bool *made)
 {
     DAL_KERNEL_SIZES;
     *solved = *solved && DAL_KERNEL_PART(is_finite)(n, at);
@@ -928,173 +542,72 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits
         at->move[n + i] = at->w[i] - at->x[n + i];
     }
     if (!*solved) DAL_KERNEL_COPY(m, k->at.kappa, at->kappa);
+    *made = true;
     return DAL_SUCCESS;
 }
-
-/* ---- commit.  The next stage adds the rounding error of the sum of x and move, so these errors do
- * not accumulate (compensated summation; E. Hairer, R. McLachlan and A. Razakarivony 2008).  Those
- * of move, smaller by h, do accumulate. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *o,
-                                               const dal_arrays *at, bool solved)
-{
-    DAL_KERNEL_SIZES;
-    double *const x = at->x, *const pull = at->pull;
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) {
-        if (!o->steady && DAL_KERNEL_HAS(o->has.pull, i)) {
-            pull[2 * n + i] = pull[n + i];
-            pull[n + i] = pull[i];
-            pull[i] = at->w[i] - at->base[i];
-        }
-        at->low[i] = x[i] - at->stored[i] + at->move[i];
-        at->low[n + i] = x[n + i] - at->w[i] + at->move[n + i];
-        x[i] = at->stored[i];
-        x[n + i] = at->w[i];
-    }
-    if (DAL_KERNEL_RARE(!o->steady && !k->pulled)) { /* the best guess of the past */
-        DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < n; i++) pull[n + i] = pull[2 * n + i] = pull[i];
-        k->pulled = true;
-    }
-    for (size_t a = 0; a < m; a++) k->impulse[a] += at->kappa[a];
-    if (o->ends) {
-        double *const force = k->force0;
-        k->force0 = k->force1;
-        k->force1 = force;
-    }
-    if (o->potential && !o->plain) k->forced = o->ends && solved;
-}
-
-/* A stage of step number, counted from 0.  The argument plain, a constant after inlining, means
- * moved nodes, and V = 0 or at nodes only.  So code for other cases costs nothing. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double number,
-                                             const dal_stage *const s, const bool plain,
-                                             const dal_masses *const masses, double *const x,
-                                             double *const pull)
-{
-    DAL_KERNEL_SIZES;
-    (void)masses;
-    dal_pattern has = DAL_KERNEL_PATTERN;
-#ifdef DAL_N
-    DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
-    DAL_KERNEL_SHARED(point, DAL_N, 3 * n);
-    DAL_KERNEL_SHARED(w, DAL_N, 4 * n);
-    DAL_KERNEL_SHARED(mu_node, DAL_KERNEL_M * DAL_N, 10 * n);
-    DAL_KERNEL_SHARED(mu, DAL_KERNEL_M * DAL_N, 10 * n + m * n);
-    DAL_KERNEL_SHARED(N, DAL_KERNEL_M * DAL_N, 10 * n + 2 * m * n);
-    /* not passed to other functions: on the stack, for the registers */
-    double base[DAL_N], goal[DAL_N], step[DAL_N], seen[DAL_N], stored[DAL_N];
-    double from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N];
-    double Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
-    double r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
-    size_t row[DAL_KERNEL_M];
-    const dal_arrays at = {x, pull, pull + 3 * n, node, point, w, mu_node, mu, N, base, goal, step,
-                           seen, stored, from, lead, push, move, Z, S, sizes, r, d, kappa, row,
-                           masses->mass_inverse, masses->unit, masses->per_unit, n + 1, NULL,
-                           false};
-#else
-    const dal_arrays at = k->at;
 #endif
-    const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
-    const bool potential = DAL_KERNEL_PULLED || at.dragged;
-    const bool inside = DAL_KERNEL_STEADY > 0 && plain;
-    const int declared = DAL_KERNEL_STEADY == 0 ? 0 : k->steady;
-    const bool proved = inside || declared >= DAL_STEADY_PROVED;
-    if (inside) has.N = 0;
-    const dal_traits o = {.stage = s, .number = number, .has = has, .plain = plain, .kept = kept,
-                          .t_end = dal_kernel_time(k, number, s->t_end), .potential = potential,
-                          .ends = potential && !plain && s->end != 0.0,
-                          .turns = DAL_KERNEL_TURNS(k) && !kept,
-                          .steady = inside || declared,
-                          .known = m == 0 || proved || (s->linear && !kept),
-                          .apart = plain && DAL_KERNEL_STEADY > 1};
 
-    bool settled = false;
-    int status = DAL_KERNEL_PART(predict)(k, &o, &at);
-    if (status) return status;
-    DAL_KERNEL_UNROLL
-    for (size_t a = 0; a < m; a++) at.kappa[a] = 0.0;
-    status = DAL_KERNEL_PART(factor)(k, &o, &at);
-    if (status < 0) return status;
-    if (o.apart) {
-        const int kicked = DAL_KERNEL_PART(kick)(k, &o, &at);
-        if (kicked) return kicked;
-        DAL_KERNEL_COPY(n, at.base, at.w);
-    }
-    bool solved = false, finished = false;
-    if (status > 0) {
-        DAL_KERNEL_COPY(n, at.node, at.stored);
-        DAL_KERNEL_COPY(n, at.base, at.goal);
-    } else {
-        status = DAL_KERNEL_PART(iterate)(k, &o, &at, &settled);
-        if (status < 0) return status;
-        solved = status == 0;
-        finished = DAL_KERNEL_PART(settle)(k, &o, &at, solved, settled);
-    }
-    if (DAL_KERNEL_RARE(!finished)) {
-        status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &solved);
-        if (status) return status;
-    }
-    DAL_KERNEL_PART(commit)(k, &o, &at, solved);
-    return DAL_SUCCESS;
-}
+#include <dalembert/stage.h>
 
 /* Each kind of stage.  With the callbacks inside, the step is one function, so that the state stays
  * in registers; with pointers, one for each kind, which compiles faster. */
-#if DAL_KERNEL_INSIDE
+#if DAL_KERNEL_INSIDE && !DAL_KERNEL_LANES
 #define DAL_KERNEL_WHOLE DAL_KERNEL_INLINE
 #else
 #define DAL_KERNEL_WHOLE DAL_KERNEL_APART
 #endif
 
-DAL_KERNEL_WHOLE int DAL_KERNEL_PART(stage_in_general)(dal_kernel *k, double number,
+DAL_KERNEL_WHOLE int DAL_KERNEL_PART(stage_in_general)(dal_kernel_of *k, dal_real number,
                                                        const dal_stage *s,
-                                                       const dal_masses *masses, double *x,
-                                                       double *pull)
+                                                       const dal_masses_of *masses, dal_real *x,
+                                                       dal_real *pull)
 {
     return DAL_KERNEL_PART(stage)(k, number, s, false, masses, x, pull);
 }
 
 #ifndef DAL_KERNEL_MOMENTA
-DAL_KERNEL_WHOLE int DAL_KERNEL_PART(plain_stage)(dal_kernel *k, double number, const dal_stage *s,
-                                                  const dal_masses *masses, double *x, double *pull)
+DAL_KERNEL_WHOLE int DAL_KERNEL_PART(plain_stage)(dal_kernel_of *k, dal_real number,
+                                                  const dal_stage *s, const dal_masses_of *masses,
+                                                  dal_real *x, dal_real *pull)
 {
     return DAL_KERNEL_PART(stage)(k, number, s, true, masses, x, pull);
 }
 #endif
 
 #ifdef DAL_KERNEL_MOMENTA
-/* From k->at.x: L_v, unless momentum is NULL, and -F, if pushed. */
-static int DAL_KERNEL_PART(push)(dal_kernel *k, double number, const dal_stage *s, double *momentum,
-                                 bool pushed)
+/* From k->at.x: momentum <- L_v in some lanes, and force0 <- -F in others. */
+DAL_KERNEL_APART int DAL_KERNEL_PART(push)(dal_kernel_of *k, dal_real number, const dal_stage *s,
+                                           dal_flag momenta, dal_flag forces)
 {
     DAL_KERNEL_SIZES;
-    const double *const x = k->at.x, shift = k->kept ? k->shift * k->h : 0.0;
-    double *const q = k->at.point;
+    const dal_real *const x = k->at.x, shift = (k->kept ? k->shift : 0.0) * k->h;
+    dal_real *const q = k->at.point;
+    DAL_FRESH(p, DAL_N, k->momentum);
+    DAL_FRESH(F, DAL_N, k->force0);
     for (size_t i = 0; i < n; i++) q[i] = x[i] - shift * x[n + i];
-    const int returned = DAL_KERNEL_START(k, dal_kernel_time(k, number, s->t_start), q, x + n,
-                                          momentum, pushed ? k->force0 : NULL);
-    if (returned) return dal_kernel_refused(k, DAL_FAILED_BALANCE, returned);
-    if (pushed) {
-        for (size_t i = 0; i < n; i++) k->force0[i] = -k->force0[i];
-        k->forced = true;
-    }
+    const int returned = DAL_START(k, DAL_KERNEL_TIME(k, number, s->t_start), q, x + n,
+                                   DAL_ANY(momenta) ? p : NULL, DAL_ANY(forces) ? F : NULL);
+    if (returned) return DAL_REFUSED(k, DAL_FAILED_BALANCE, returned);
+    DAL_KERNEL_PART(take)(n, false, momenta, p, k->momentum);
+    for (size_t i = 0; DAL_ANY(forces) && i < n; i++)
+        k->force0[i] = DAL_TAKE(false, forces, -F[i], k->force0[i]);
     return DAL_SUCCESS;
 }
 
 #include <dalembert/momentum.h>
 
-DAL_KERNEL_WHOLE int DAL_KERNEL_PART(momentum_stage)(dal_kernel *k, double number,
-                                                     const dal_stage *s, double *x, double *low)
+DAL_KERNEL_WHOLE int DAL_KERNEL_PART(momentum_stage)(dal_kernel_of *k, dal_real number,
+                                                     const dal_stage *s, dal_real *x,
+                                                     dal_real *low)
 {
     return DAL_KERNEL_PART(momentum)(k, number, s, !DAL_KERNEL_INSIDE && s->linear, x, low);
 }
 
 /* A stage of either kind. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double number,
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel_of *k, dal_real number,
                                                        const dal_stage *s,
-                                                       const dal_masses *masses, double *x,
-                                                       double *pull)
+                                                       const dal_masses_of *masses, dal_real *x,
+                                                       dal_real *pull)
 {
     DAL_KERNEL_SIZES;
     /* with callbacks inside, values known at the node need not be computed again if that is a
@@ -1105,17 +618,25 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double num
         return DAL_KERNEL_PART(momentum)(k, number, s, true, x, pull + 3 * n);
     if (s->momentum) return DAL_KERNEL_PART(momentum_stage)(k, number, s, x, pull + 3 * n);
     int status = DAL_SUCCESS;
-    for (size_t i = 0; k->carried && i < n; i++) pull[4 * n + i] = 0.0; /* which is of p */
-    if (DAL_KERNEL_RARE(s->start != 0.0 && !k->forced)) {
-        DAL_KERNEL_COPY(2 * n, x, k->at.x);
-        status = DAL_KERNEL_PART(push)(k, number, s, NULL, true);
+    const dal_flag going = DAL_GOING(k), of_p = DAL_AND(going, k->carried);
+    for (size_t i = 4 * n; DAL_ANY(of_p) && i < 5 * n; i++) /* low of p is none of v */
+        pull[i] = DAL_TAKE(false, of_p, DAL_NUMBER(0.0), pull[i]);
+    const dal_flag unknown = DAL_AND(going, DAL_NOT(k->forced));
+    if (DAL_KERNEL_RARE(s->start != 0.0 && DAL_ANY(unknown))) {
+        if (!DAL_KERNEL_LANES) DAL_KERNEL_COPY(2 * n, x, k->at.x);
+        status = DAL_KERNEL_PART(push)(k, number, s, DAL_FLAG(false), unknown);
+        if (status) return status;
+        DAL_COUNT_START(k->stats.counts, unknown);
+        k->forced = DAL_OR(k->forced, unknown);
     }
-    if (!status) status = DAL_KERNEL_PART(stage_in_general)(k, number, s, masses, x, pull);
-    k->carried = k->formed = false;
+    status = DAL_KERNEL_PART(stage_in_general)(k, number, s, masses, x, pull);
+    k->carried = DAL_AND(k->carried, DAL_NOT(going));
+    k->formed = false;
     return status;
 }
 #endif
 
+#if !DAL_KERNEL_LANES
 /* Takes a number of steps of k; *done <- the number of successful steps.  On failure the state is
  * that after the last of these. */
 static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
@@ -1130,21 +651,11 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const double first = (double)k->number, last = first + (double)steps;
     double number = first;
     int status = DAL_SUCCESS;
-    const dal_pattern has = DAL_KERNEL_PATTERN;
 #if DAL_KERNEL_INSIDE && DAL_KERNEL_MASS && DAL_N <= 8
     double mass_inverse[DAL_N * DAL_N], unit[DAL_N], per_unit[DAL_N];
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < DAL_N * DAL_N; i++)
-        mass_inverse[i] = has.one >> i / DAL_N & 1 ? (double)(i % (DAL_N + 1) == 0)
-                                                   : k->mass_inverse[i];
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < DAL_N; i++) {
-        unit[i] = has.one >> i & 1 ? 1.0 : k->unit[i];
-        per_unit[i] = has.one >> i & 1 ? 1.0 : k->per_unit[i];
-    }
+    DAL_KERNEL_PART(take_masses)(k, mass_inverse, unit, per_unit);
     const dal_masses masses = {mass_inverse, unit, per_unit};
 #else
-    (void)has;
     const dal_masses masses = {k->mass_inverse, k->unit, k->per_unit};
 #endif
 #if DAL_KERNEL_INSIDE
@@ -1189,7 +700,54 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     k->number += *done;
     return status;
 }
+#endif
 
+#undef dal_real
+#undef dal_flag
+#undef dal_exchange
+#undef dal_kernel_of
+#undef dal_arrays_of
+#undef dal_masses_of
+#undef dal_balance_of
+#undef dal_traits_of
+#undef dal_progress_of
+#undef DAL_NUMBER
+#undef DAL_ABS
+#undef DAL_SQRT
+#undef DAL_ALSO
+#undef dal_spans_of
+#undef DAL_FORMS
+#undef DAL_BALANCE
+#undef DAL_VALUES
+#undef DAL_START
+#undef DAL_COUNT_START
+#undef DAL_WEIGHTS
+#undef DAL_KNOW_ONE_MORE
+#undef DAL_TALLY
+#undef DAL_FLAG
+#undef DAL_SELECT
+#undef DAL_TAKE
+#undef DAL_ANY
+#undef DAL_EVERY
+#undef DAL_NOT
+#undef DAL_AND
+#undef DAL_OR
+#undef DAL_COUNT_ITERATION
+#undef DAL_LEAVE_UNLESS
+#undef DAL_GOING
+#undef DAL_REFUSED
+#undef DAL_FAIL
+#undef DAL_FACTOR_LU
+#undef DAL_SOLVE_LU
+#undef DAL_ROWS_DOT
+#undef DAL_ROWS_EXTENT
+#undef DAL_ROWS_COLUMN
+#undef DAL_CONSTRAINT
+#undef DAL_POTENTIAL
+#undef DAL_DRAG
+#undef DAL_FRESH
+#undef DAL_EXCHANGES
+#undef DAL_KERNEL_LANES
 #undef DAL_KERNEL_INSIDE
 #undef DAL_KERNEL_WHOLE
 #undef DAL_KERNEL_PULLED
@@ -1201,8 +759,6 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_KERNEL_M
 #undef DAL_KERNEL_COPY
 #undef DAL_KERNEL_PART
-#undef DAL_KERNEL_JOIN
-#undef DAL_KERNEL_JOIN_
 #undef DAL_KERNEL_STEADY
 #undef DAL_KERNEL_TURNS
 #undef DAL_KERNEL_PATTERN

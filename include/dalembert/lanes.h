@@ -1,26 +1,27 @@
 /* lanes.h - the step routine of kernel.h for several members of an ensemble at once.
  *
- * Each member has a lane: its own time, step, masses, parameters and state.  A number in kernel.h
- * is here a vector with a component for each lane, which fits into a register.  A lane executes the
- * operations of kernel.h in their order, so its results do not depend on other lanes.  Without
- * functions of a vector math library they are bitwise those of kernel.h.  If one lane needs an
- * operation, all execute it, and the others discard the result: a lane that has converged is
- * frozen.
+ * Each member has a lane: its own time, step, masses, parameters, inputs and state.  A number in
+ * kernel.h is here a vector with a component for each lane, which fits into a register.  A lane
+ * executes the operations of kernel.h in their order, so its results do not depend on other lanes.
+ * Without functions of a vector math library they are bitwise those of the scalar routine.  If one
+ * lane needs an operation, all execute it, and the others discard the result.
  *
- * This is the fast path alone: moved nodes, constant mass, linear constraints, callbacks that never
- * refuse, no force that depends on v.  A lane stops before a step in which kernel.h would call
- * dal_kernel.finish or look.  It also stops if only an estimate of the inverse could show that S is
- * regular.  The step routine of kernel.h then continues from there.
+ * This is the fast path alone: moved nodes, callbacks that never refuse.  A lane stops before a
+ * step in which the scalar routine would call dal_kernel.finish or look.  It also stops if only an
+ * estimate of the inverse could show that S is regular.  The scalar routine continues from there.
  *
- * One text, a compilation for each set of instructions.  The includer defines
+ * Here are the types and primitives of vectors; the text is that of kernel.h, compiled for each set
+ * of instructions.  The includer defines
  *     DAL_LANES(name)             that name with an ending of its own for each set
  *     DAL_LANES_VECTOR            lanes of a vector: 8 for AVX-512, 4 for AVX2, 2 for what all have
  * and includes this file, which declares dal_vec, dal_mask and the functions that callbacks need;
  * then it defines
  *     DAL_N, DAL_M                the sizes, DAL_N <= 8
  *     DAL_LANES_PATTERN, DAL_LANES_STEADY   as those of kernel.h, both needed
- *     DAL_LANES_CONSTRAINT(t, q, v, mu, N, p)   unless DAL_M is 0; mu or N may be NULL
- *     DAL_LANES_PULL(t, q, V_q, p)              where there is a V
+ *     DAL_LANES_CONSTRAINT(t, q, v, phi, mu, N, u, p)   unless DAL_M is 0; phi, mu or N may be NULL
+ *     DAL_LANES_PULL(t, q, V_q, u, p)                   where there is a V
+ *     DAL_LANES_BALANCE(t, q, v, L_v, F, L_vq, L_vv, F_q, F_v, u, p)   for stages of momentum.h,
+ *                                 with DAL_LANES_MASS and DAL_LANES_KIND, as those of kernel.h
  * and includes it again.  That makes the function DAL_LANES(advance), a dal_lanes_fn.  All of it
  * stands where the compiler was told to use the set.  Build with -ffp-contract=off. */
 #ifndef DALEMBERT_LANES_H
@@ -34,24 +35,76 @@
  * Measured: worth a third with AVX2. */
 enum { DAL_LANES_TURNS = 2 };
 
-/* The common data of all lanes, and the arrays of the lanes, one set for each vector in turn. */
+/* The common data of all lanes, and the numbers of the lanes: DAL_LANES_TURNS times as many vectors
+ * as dal_lanes_layout says; and as many for a step of several stages. */
 typedef struct dal_lanes_block {
     const dal_stage *stage;
     size_t stages;
-    bool plain, steady;  /* as of a dal_kernel */
-    size_t parameters;
-    double *given;       /* t0, h, range[2], M^-1[n*n], unit[n], per_unit[n], parameters[] */
-    double *carried;     /* from step to step, see below */
+    bool plain, turns; /* as of a dal_kernel */
+    bool momenta;      /* of a system with stages of momentum.h */
+    int steady;
+    size_t kinds, parameters, inputs;
+    double *numbers, *saved;
 } dal_lanes_block;
 
-/* The places of the vectors in carried.  A flag is 1 or 0.  The counters count the operations of
- * this routine. */
-enum {
-    DAL_LANES_GOING, DAL_LANES_PULLED, DAL_LANES_FORCED, /* flags */
-    DAL_LANES_NUMBER, DAL_LANES_WORST,                   /* of the step; residual */
-    DAL_LANES_ITERATIONS, DAL_LANES_CONSTRAINT_CALLS, DAL_LANES_PULL_CALLS,
-    DAL_LANES_X /* [2n], then pull[3n], low[2n], force[n], impulse[m], at least one */
-};
+/* The operations of this routine that are counted. */
+enum { DAL_LANES_ITERATIONS, DAL_LANES_CONSTRAINTS, DAL_LANES_PULLS, DAL_LANES_COUNTED };
+
+/* Where the vectors of a lane are.  A flag is 1 or 0. */
+typedef struct dal_lanes_layout {
+    size_t t0, h, range, mass, mass_inverse, unit, per_unit, parameters, inputs; /* given */
+    size_t going, pulled, forced, carried;                                       /* flags */
+    size_t number, worst;  /* of the step; residual */
+    size_t counts;         /* [DAL_LANES_COUNTED] */
+    size_t x, pull, low, force, impulse, momentum, latest, latest_span, history, known;
+    size_t end; /* of what a step changes */
+    size_t forms, point;
+    size_t count; /* of all */
+} dal_lanes_layout;
+
+static inline size_t dal_lanes_next(dal_lanes_layout *at, size_t size)
+{
+    at->count += size;
+    return at->count - size;
+}
+
+/* For a system with these sizes; momenta, and how many kinds of stages of momentum.h. */
+static inline dal_lanes_layout dal_lanes_layout_of(size_t n, size_t m, bool momenta, size_t kinds,
+                                                   size_t parameters, size_t inputs)
+{
+    dal_lanes_layout at = {0};
+    const size_t some = momenta ? 1 : 0;
+    at.t0 = dal_lanes_next(&at, 1);
+    at.h = dal_lanes_next(&at, 1);
+    at.range = dal_lanes_next(&at, 2);
+    at.mass = dal_lanes_next(&at, some * n * n);
+    at.mass_inverse = dal_lanes_next(&at, n * n);
+    at.unit = dal_lanes_next(&at, n);
+    at.per_unit = dal_lanes_next(&at, n);
+    at.parameters = dal_lanes_next(&at, parameters);
+    at.inputs = dal_lanes_next(&at, inputs);
+    at.going = dal_lanes_next(&at, 1);
+    at.pulled = dal_lanes_next(&at, 1);
+    at.forced = dal_lanes_next(&at, 1);
+    at.carried = dal_lanes_next(&at, 1);
+    at.number = dal_lanes_next(&at, 1);
+    at.worst = dal_lanes_next(&at, 1);
+    at.counts = dal_lanes_next(&at, DAL_LANES_COUNTED);
+    at.x = dal_lanes_next(&at, 2 * n);
+    at.pull = dal_lanes_next(&at, 3 * n);
+    at.low = dal_lanes_next(&at, 2 * n);
+    at.force = dal_lanes_next(&at, n);
+    at.impulse = dal_lanes_next(&at, m);
+    at.momentum = dal_lanes_next(&at, some * n);
+    at.latest = dal_lanes_next(&at, some * m);
+    at.latest_span = dal_lanes_next(&at, some);
+    at.history = dal_lanes_next(&at, 4 * n * kinds);
+    at.known = dal_lanes_next(&at, kinds);
+    at.end = at.count;
+    at.forms = dal_lanes_next(&at, some * m * n);
+    at.point = dal_lanes_next(&at, some * n);
+    return at;
+}
 
 /* Takes a number of steps of the active lanes. */
 typedef void (*dal_lanes_fn)(const dal_lanes_block *block, size_t steps);
@@ -59,7 +112,7 @@ typedef void (*dal_lanes_fn)(const dal_lanes_block *block, size_t steps);
 /* A compilation.  The member lanes of a dal_compiled points to an array of these, the widest first,
  * that ends with vector = 0. */
 struct dal_lanes_routine {
-    size_t vector, parameters; /* lanes of a vector; parameters of the system */
+    size_t vector, parameters, inputs; /* lanes of a vector; sizes of the system */
     dal_lanes_fn advance;
 };
 
@@ -170,124 +223,136 @@ typedef union DAL_LANES(divided) {
 
 #if defined(DAL_LANES) && defined(DAL_N)
 
-#define DAL_LANES_ROWS (DAL_M > 0 ? DAL_M : 1)
-#ifdef DAL_LANES_PULL
-#define DAL_LANES_HAS_PULL true
+#define dal_real dal_vec
+#define dal_flag dal_mask
+#define dal_exchange dal_mask
+#define dal_kernel_of DAL_LANES(kernel)
+#define dal_arrays_of DAL_LANES(arrays)
+#define dal_masses_of DAL_LANES(masses)
+#define dal_balance_of DAL_LANES(balance)
+#define dal_traits_of DAL_LANES(traits)
+#define dal_progress_of DAL_LANES(progress)
+#define dal_spans_of DAL_LANES(spans)
+#define DAL_ARRAYS(name) DAL_LANES(name)
+#include <dalembert/arrays.h>
+
+#define DAL_NUMBER(x) DAL_LANES(all_of)(x)
+#define DAL_ABS(x) DAL_LANES(fabs)(x)
+#define DAL_SQRT(x) DAL_LANES(square_root)(x)
+#define DAL_FLAG(x) ((dal_mask){0} - (int64_t)(x))
+#define DAL_SELECT(which, a, b) DAL_LANES(choose)(which, a, b)
+#define DAL_TAKE(all, which, value, old) ((all) ? (value) : DAL_LANES(choose)(which, value, old))
+#define DAL_ANY(which) DAL_LANES(any)(which)
+#define DAL_EVERY(which) (!DAL_LANES(any)(~(which)))
+#define DAL_NOT(which) (~(which))
+#define DAL_AND(a, b) ((a) & (b))
+#define DAL_OR(a, b) ((a) | (b))
+#define DAL_ALSO(a, b) ((a) & (b))
+#define DAL_COUNT_ITERATION(k, at, which) ((at)->tally[DAL_LANES_ITERATIONS] -= (which))
+#define DAL_LEAVE_UNLESS(open, condition) ((open) &= (condition))
+#define DAL_GOING(k) ((k)->going)
+#define DAL_REFUSED(k, kind, returned) ((void)(returned), -1)
+#define DAL_FAIL(k, status, kind) 1
+#define DAL_FACTOR_LU(m, A, sizes, row) DAL_LANES(factor_lu)(A, sizes, row)
+#define DAL_SOLVE_LU(m, A, row, b, x) DAL_LANES(solve_lu)(A, row, b, x)
+#define DAL_ROWS_DOT(rows, A, a, x) DAL_NUMBER(0.0) /* there are no rows */
+#define DAL_ROWS_EXTENT(rows, A, a, x) DAL_NUMBER(0.0)
+#define DAL_ROWS_COLUMN(rows, A, i, c) DAL_NUMBER(0.0)
+#define DAL_DRAG(k, t, q, v, V_q) 0
+#define DAL_FRESH(name, size, old) dal_vec name[size]
+#define DAL_EXCHANGES(name) dal_mask name[DAL_KERNEL_M * DAL_KERNEL_M]
+#if DAL_M > 0
+#define DAL_CONSTRAINT(k, at, which, t, q, v, mu, N) \
+    ((at)->tally[DAL_LANES_CONSTRAINTS] -= (which), \
+     DAL_LANES_CONSTRAINT(t, q, v, NULL, mu, N, (k)->input, (k)->p), 0)
+#define DAL_FORMS(k, at, which, t, q, v, phi, mu, N) \
+    ((at)->tally[DAL_LANES_CONSTRAINTS] -= (which), \
+     DAL_LANES_CONSTRAINT(t, q, v, phi, mu, N, (k)->input, (k)->p), 0)
 #else
-#define DAL_LANES_HAS_PULL false
-#define DAL_LANES_PULL(t, q, V_q, p) ((void)(t), (void)(q), (void)(V_q), (void)(p))
+#define DAL_CONSTRAINT(k, at, which, t, q, v, mu, N) ((void)(mu), 0)
+#define DAL_FORMS(k, at, which, t, q, v, phi, mu, N) ((void)(mu), 0)
 #endif
-#if DAL_M == 0
-#define DAL_LANES_CONSTRAINT(t, q, v, mu, N, p) ((void)(t), (void)(q), (void)(v), (void)(mu))
+#ifdef DAL_LANES_PULL
+#define DAL_POTENTIAL(k, at, which, t, q, V_q) \
+    ((at)->tally[DAL_LANES_PULLS] -= (which), DAL_LANES_PULL(t, q, V_q, (k)->input, (k)->p), 0)
+#define DAL_KERNEL_POTENTIAL
+#else
+#define DAL_POTENTIAL(k, at, which, t, q, V_q) 0
 #endif
+#ifdef DAL_LANES_BALANCE
+#define DAL_KERNEL_MOMENTA
+#define DAL_KERNEL_MASS DAL_LANES_MASS
+#define DAL_KERNEL_KIND(k) DAL_LANES_KIND
+#define DAL_BALANCE(k, at, which, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v) \
+    ((at)->tally[DAL_LANES_PULLS] -= (which), \
+     DAL_LANES_BALANCE(t, q, v, L_v, F, L_vq, L_vv, F_q, F_v, (k)->input, (k)->p), 0)
+#define DAL_VALUES(k, at, which, t, q, v, L_v, F, late) \
+    DAL_BALANCE(k, at, which, t, q, v, L_v, F, NULL, NULL, NULL, NULL)
+#define DAL_START(k, t, q, v, L_v, F) \
+    (DAL_LANES_BALANCE(t, q, v, L_v, F, NULL, NULL, NULL, NULL, (k)->input, (k)->p), 0)
+#define DAL_COUNT_START(counts, which) ((counts)[DAL_LANES_PULLS] -= (which))
+#define DAL_WEIGHTS(name, k, s) \
+    dal_vec name[4]; \
+    DAL_LANES(weights)(s, (k)->known[(s)->kind], name)
+#define DAL_KNOW_ONE_MORE(k, kind, which) \
+    ((k)->known[kind] += DAL_LANES(count)((which) & ((k)->known[kind] < 4.0)))
+#endif
+#define DAL_TALLY(name) dal_mask name[DAL_LANES_COUNTED] = {{0}}
+#define DAL_KERNEL DAL_LANES(step)
+#define DAL_LANES_PART(name) DAL_KERNEL_JOIN(DAL_KERNEL, _##name)
+#define DAL_KERNEL_LANES 1
+#define DAL_KERNEL_CONSTRAINT
+#define DAL_KERNEL_PATTERN DAL_LANES_PATTERN
+#define DAL_KERNEL_STEADY DAL_LANES_STEADY
 
-/* The vectors of dal_lanes_block.carried and .given. */
-typedef struct DAL_LANES(state) {
-    dal_vec going, pulled, forced, number, worst, iterations, constraint_calls, pull_calls;
-    dal_vec x[2 * DAL_N], pull[3 * DAL_N], low[2 * DAL_N], force[DAL_N], impulse[DAL_LANES_ROWS];
-} DAL_LANES(state);
+typedef struct DAL_LANES(stats) {
+    dal_vec worst_residual;
+    dal_mask counts[DAL_LANES_COUNTED]; /* integers */
+} DAL_LANES(stats);
 
-typedef struct DAL_LANES(given) {
-    dal_vec t0, h, range[2], mass_inverse[DAL_N * DAL_N], unit[DAL_N], per_unit[DAL_N], p[];
-} DAL_LANES(given);
-
-typedef struct DAL_LANES(traits) {
-    const dal_stage *stage;
-    const DAL_LANES(given) *given;
-    dal_vec h, t_end;
-    dal_pattern has;
-    bool plain, steady, turns, ends, known, apart;
-} DAL_LANES(traits);
-
-/* As in dal_arrays; force is V_q at q~'. */
-typedef struct DAL_LANES(arrays) {
-    dal_vec node[DAL_N], w[DAL_N], base[DAL_N], goal[DAL_N], step[DAL_N], seen[DAL_N];
-    dal_vec stored[DAL_N], from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N], force[DAL_N];
-    dal_vec mu_node[DAL_LANES_ROWS * DAL_N], mu[DAL_LANES_ROWS * DAL_N], N[DAL_LANES_ROWS * DAL_N];
-    dal_vec Z[DAL_LANES_ROWS * DAL_N], S[DAL_LANES_ROWS * DAL_LANES_ROWS];
-    dal_vec sizes[2 * DAL_LANES_ROWS];
-    dal_mask swapped[DAL_LANES_ROWS * DAL_LANES_ROWS]; /* rows a and c, in the column a */
-    dal_vec r[DAL_LANES_ROWS], d[DAL_LANES_ROWS], kappa[DAL_LANES_ROWS];
-    dal_vec last;
-    dal_mask anew, passed;
-    dal_mask open, solved, settled; /* being iterated; done; and with the residual that it needs */
-    dal_vec iterations, constraint_calls, pull_calls;
-} DAL_LANES(arrays);
+/* The members of a dal_kernel with these names, of all lanes of a vector. */
+typedef struct DAL_LANES(kernel) {
+    bool plain, kept, turns, diagonal, formed;
+    int steady;
+    double shift;
+    dal_vec t0, h, range[2], number, latest_span;
+    dal_mask going, pulled, forced, carried;
+    DAL_LANES(stats) stats;
+    struct {
+        dal_vec *x, *point;
+    } at;
+    dal_vec *pull, *force0, *impulse, *momentum, *forms, *latest, *history, *known;
+    const dal_vec *mass, *mass_inverse, *unit, *per_unit, *p, *input;
+    /* which no lane has */
+    dal_vec *force1;
+    int (*factor)(const struct DAL_LANES(kernel) *k, dal_vec b);
+    void (*solve)(const struct DAL_LANES(kernel) *k);
+} DAL_LANES(kernel);
 
 DAL_KERNEL_INLINE dal_vec DAL_LANES(count)(dal_mask which)
 {
     return DAL_LANES(choose)(which, DAL_LANES(all_of)(1.0), DAL_LANES(all_of)(0.0));
 }
 
-DAL_KERNEL_INLINE dal_vec DAL_LANES(time)(const DAL_LANES(given) *given, const DAL_LANES(state) *c,
-                                          double part)
+DAL_KERNEL_INLINE dal_vec DAL_LANES(square_root)(dal_vec x)
 {
-    return given->t0 + (c->number + part) * given->h;
+    for (int i = 0; i < DAL_LANES_VECTOR; i++) x[i] = sqrt(x[i]);
+    return x;
 }
 
-DAL_KERNEL_INLINE dal_vec DAL_LANES(mass_inverse)(const DAL_LANES(traits) *o, size_t e)
+/* The weights of the last changes of v, of which so many are known. */
+DAL_KERNEL_INLINE void DAL_LANES(weights)(const dal_stage *s, dal_vec known, dal_vec *weight)
 {
-    if (o->has.one >> e / DAL_N & 1)
-        return DAL_LANES(all_of)(e % (DAL_N + 1) == 0 ? 1.0 : 0.0);
-    return o->given->mass_inverse[e];
+    for (size_t i = 0; i < 4; i++) weight[i] = DAL_LANES(all_of)(s->past[4][i]);
+    if (!DAL_LANES(any)(known < 4.0)) return;
+    for (size_t count = 0; count < 4; count++)
+        for (size_t i = 0; i < 4; i++)
+            weight[i] = DAL_LANES(choose)(known == (double)count,
+                                          DAL_LANES(all_of)(s->past[count][i]), weight[i]);
 }
 
-/* Number i of unit or per_unit. */
-DAL_KERNEL_INLINE dal_vec DAL_LANES(scale)(const DAL_LANES(traits) *o, const dal_vec *scales,
-                                           size_t i)
-{
-    return o->has.one >> i & 1 ? DAL_LANES(all_of)(1.0) : scales[i];
-}
-
-DAL_KERNEL_INLINE dal_vec DAL_LANES(dot)(unsigned long long mask, const dal_vec *A, size_t a,
-                                         const dal_vec *x)
-{
-    dal_vec sum = DAL_LANES(all_of)(-0.0);
-    for (size_t i = 0; i < DAL_N; i++)
-        if (DAL_KERNEL_HAS(mask, a * DAL_N + i)) sum += A[a * DAL_N + i] * x[i];
-    return sum;
-}
-
-DAL_KERNEL_INLINE dal_vec DAL_LANES(column)(unsigned long long mask, const dal_vec *Z, size_t i,
-                                            const dal_vec *c)
-{
-    dal_vec sum = DAL_LANES(all_of)(-0.0);
-    for (size_t a = 0; a < DAL_M; a++)
-        if (DAL_KERNEL_HAS(mask, a * DAL_N + i)) sum += Z[a * DAL_N + i] * c[a];
-    return sum;
-}
-
-DAL_KERNEL_INLINE void DAL_LANES(accelerate)(const DAL_LANES(traits) *o, const dal_vec *f,
-                                             dal_vec *y)
-{
-    for (size_t i = 0; i < DAL_N; i++) {
-        y[i] = DAL_LANES(all_of)(-0.0);
-        for (size_t j = 0; j < DAL_N; j++)
-            if (DAL_KERNEL_HAS(o->has.inverse, i * DAL_N + j))
-                y[i] += DAL_LANES(mass_inverse)(o, i * DAL_N + j) * f[j];
-    }
-}
-
-DAL_KERNEL_INLINE dal_vec DAL_LANES(form)(const DAL_LANES(traits) *o, const dal_vec *mu, size_t a)
-{
-    dal_vec sum = DAL_LANES(all_of)(-0.0);
-    for (size_t i = 0; i < DAL_N; i++)
-        if (DAL_KERNEL_HAS(o->has.mu, a * DAL_N + i))
-            sum += DAL_LANES(fabs)(mu[a * DAL_N + i]) * DAL_LANES(scale)(o, o->given->unit, i);
-    return sum;
-}
-
-DAL_KERNEL_INLINE dal_vec DAL_LANES(speed)(const DAL_LANES(traits) *o, const dal_vec *v)
-{
-    dal_vec most = DAL_LANES(all_of)(0.0);
-    for (size_t i = 0; i < DAL_N; i++) {
-        const dal_vec speed = DAL_LANES(fabs)(v[i]) * DAL_LANES(scale)(o, o->given->per_unit, i);
-        most = DAL_LANES(choose)(speed > most, speed, most);
-    }
-    return most;
-}
-
-/* ---- LU factors, as in lu.h; true if S is known to be regular with a positive determinant */
+/* ---- LU factors, as in lu.h, but with masks of the rows that were exchanged: of rows a and c, in
+ * the column a */
 DAL_KERNEL_INLINE void DAL_LANES(swap)(dal_mask which, dal_vec *a, dal_vec *b)
 {
     const dal_vec first = *a;
@@ -298,7 +363,7 @@ DAL_KERNEL_INLINE void DAL_LANES(swap)(dal_mask which, dal_vec *a, dal_vec *b)
 /* The bound of dal_lu_is_regular. */
 DAL_KERNEL_INLINE dal_mask DAL_LANES(is_regular)(const dal_vec *A, const dal_vec *sizes)
 {
-    enum { m = DAL_LANES_ROWS };
+    enum { m = DAL_M > 0 ? DAL_M : 1 };
     dal_vec x[m], largest = DAL_LANES(all_of)(1.0), bound = DAL_LANES(all_of)(0.0);
     for (size_t i = 0; i < m; i++) {
         x[i] = sizes[i];
@@ -320,10 +385,10 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(is_regular)(const dal_vec *A, const dal_vec
     return bound <= DAL_LU_CONDITION / ((double)m * largest);
 }
 
-DAL_KERNEL_INLINE dal_mask DAL_LANES(factor_lu)(DAL_LANES(arrays) *at)
+/* Returns whether A is known to be regular with a positive determinant. */
+DAL_KERNEL_INLINE dal_mask DAL_LANES(factor_lu)(dal_vec *A, dal_vec *sizes, dal_mask *swapped)
 {
-    enum { m = DAL_LANES_ROWS };
-    dal_vec *const A = at->S, *const sizes = at->sizes;
+    enum { m = DAL_M > 0 ? DAL_M : 1 };
     if (m == 1) {
         const dal_vec pivot = A[0];
         A[0] = 1.0 / pivot;
@@ -341,7 +406,7 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(factor_lu)(DAL_LANES(arrays) *at)
             place = (larger & (int64_t)i) | (~larger & place);
         }
         for (size_t i = j + 1; i < m; i++) {
-            const dal_mask swap = at->swapped[j * m + i] = place == (int64_t)i;
+            const dal_mask swap = swapped[j * m + i] = place == (int64_t)i;
             for (size_t k = 0; k < m; k++) DAL_LANES(swap)(swap, &A[j * m + k], &A[i * m + k]);
             DAL_LANES(swap)(swap, &sizes[j], &sizes[i]);
             negative ^= swap;
@@ -358,17 +423,17 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(factor_lu)(DAL_LANES(arrays) *at)
     return DAL_LANES(is_regular)(A, sizes) & ~negative;
 }
 
-DAL_KERNEL_INLINE void DAL_LANES(solve)(const DAL_LANES(arrays) *at, const dal_vec *r, dal_vec *x)
+DAL_KERNEL_INLINE void DAL_LANES(solve_lu)(const dal_vec *A, const dal_mask *swapped,
+                                           const dal_vec *r, dal_vec *x)
 {
-    enum { m = DAL_LANES_ROWS };
-    const dal_vec *const A = at->S;
+    enum { m = DAL_M > 0 ? DAL_M : 1 };
     if (m == 1) {
         x[0] = r[0] * A[0];
         return;
     }
     for (size_t i = 0; i < m; i++) x[i] = r[i];
     for (size_t j = 0; j < m; j++)
-        for (size_t i = j + 1; i < m; i++) DAL_LANES(swap)(at->swapped[j * m + i], &x[j], &x[i]);
+        for (size_t i = j + 1; i < m; i++) DAL_LANES(swap)(swapped[j * m + i], &x[j], &x[i]);
     for (size_t i = 0; i < m; i++)
         for (size_t k = 0; k < i; k++) x[i] -= A[i * m + k] * x[k];
     for (size_t i = m; i-- > 0;) {
@@ -377,479 +442,189 @@ DAL_KERNEL_INLINE void DAL_LANES(solve)(const DAL_LANES(arrays) *at, const dal_v
     }
 }
 
-/* ---- predict */
-DAL_KERNEL_INLINE void DAL_LANES(kick)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
-                                       DAL_LANES(arrays) *at)
+/* ---- what is done otherwise than for one member */
+
+/* old <- fresh in these lanes, or in all. */
+DAL_KERNEL_INLINE void DAL_LANES_PART(take)(size_t n, bool all, dal_mask which,
+                                            const dal_vec *fresh, dal_vec *old)
 {
-    const dal_stage *const s = o->stage;
-    const bool at_node = o->plain || s->node != 0.0;
-    const dal_vec *force = at->force;
-    dal_vec y[DAL_N];
-    if (at_node) {
-        DAL_LANES_PULL(DAL_LANES(time)(o->given, c, s->t_node), at->node, at->force, o->given->p);
-        at->pull_calls += 1.0;
-    } else {
-        const dal_mask unknown = c->forced == 0.0;
-        if (DAL_LANES(any)(unknown & at->open)) {
-            DAL_LANES_PULL(DAL_LANES(time)(o->given, c, s->t_start), c->x, at->force, o->given->p);
-            for (size_t i = 0; i < DAL_N; i++)
-                c->force[i] = DAL_LANES(choose)(unknown, at->force[i], c->force[i]);
-            at->pull_calls += DAL_LANES(count)(unknown);
-        }
-        force = c->force;
-    }
-    const dal_vec weight = o->h * (at_node ? s->node : s->start);
-    DAL_LANES(accelerate)(o, force, y);
-    for (size_t i = 0; i < DAL_N; i++)
-        if (DAL_KERNEL_HAS(o->has.kick, i)) {
-            at->push[i] -= weight * y[i];
-            at->base[i] -= weight * y[i];
-        }
+    for (size_t i = 0; i < n; i++) old[i] = DAL_TAKE(all, which, fresh[i], old[i]);
 }
 
-/* As dal_kernel_leave. */
-DAL_KERNEL_INLINE dal_vec DAL_LANES(leave)(const DAL_LANES(traits) *o, const DAL_LANES(state) *c,
-                                           const DAL_LANES(arrays) *at, size_t i, dal_vec w,
-                                           dal_vec way)
+DAL_KERNEL_INLINE void DAL_LANES_PART(pass_on)(DAL_LANES(kernel) *k, const DAL_LANES(arrays) *at,
+                                               size_t n, bool ends, bool all, dal_mask made,
+                                               const dal_vec *force1)
 {
-    const dal_vec next = at->from[i] + way;
-    if (!o->turns || o->stage->before != o->stage->after) return next;
-    const dal_mask even = (w == c->x[DAL_N + i]) & (c->low[DAL_N + i] == 0.0);
-    return DAL_LANES(choose)(even, at->node[i] + (at->node[i] - c->x[i]), next);
+    if (ends) DAL_LANES_PART(take)(n, all, made, force1, k->force0);
+    _Pragma("GCC unroll 8")
+    for (size_t i = 0; i < DAL_LANES_COUNTED; i++)
+        k->stats.counts[i] += all ? at->tally[i] : at->tally[i] & made;
 }
 
-DAL_KERNEL_INLINE void DAL_LANES(predict)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
-                                          DAL_LANES(arrays) *at)
+/* Lanes in which C has to be looked at stop. */
+DAL_KERNEL_INLINE int DAL_LANES_PART(look)(const DAL_LANES(kernel) *k, const DAL_LANES(traits) *o,
+                                           const DAL_LANES(arrays) *at, dal_mask *open)
 {
-    const dal_stage *const s = o->stage;
-    const dal_vec *const x = c->x, *const pull = c->pull;
-    const dal_vec before = s->before * o->h, b = s->after * o->h;
-    for (size_t i = 0; i < DAL_N; i++) {
-        const dal_vec way = before * x[DAL_N + i], near = x[i] + way;
-        at->lead[i] = c->low[i] + way;
-        at->from[i] = near + c->low[i];
-        at->node[i] = s->linear ? at->from[i] : near;
-        if (o->turns) {
-            const dal_mask even = c->low[DAL_N + i] == 0.0;
-            at->from[i] = DAL_LANES(choose)(even, x[i] + (0.5 * c->low[i] + way), at->from[i]);
-            at->node[i] = DAL_LANES(choose)(even, at->from[i], at->node[i]);
-        }
-        at->push[i] = c->low[DAL_N + i];
-        at->base[i] = x[DAL_N + i] + c->low[DAL_N + i];
-    }
-    if (DAL_LANES_HAS_PULL && !o->apart) DAL_LANES(kick)(o, c, at);
-    for (size_t i = 0; i < DAL_N; i++) {
-        const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
-        dal_vec early = o->steady || DAL_LANES_HAS_PULL ? at->base[i] : x[DAL_N + i];
-        if (pulled) early += s->ahead[1] * pull[DAL_N + i] + s->ahead[2] * pull[2 * DAL_N + i];
-        at->w[i] = early;
-        at->stored[i] = o->steady || o->turns ? DAL_LANES(leave)(o, c, at, i, early, b * early)
-                                              : at->node[i] + b * early;
-        if (pulled) {
-            at->w[i] += s->ahead[0] * pull[i];
-            at->stored[i] += b * s->ahead[0] * pull[i];
-        }
-    }
-}
-
-/* ---- factor: S at the prediction, which lies in stored */
-DAL_KERNEL_INLINE void DAL_LANES(form_S)(const DAL_LANES(traits) *o, DAL_LANES(arrays) *at)
-{
-    enum { m = DAL_M };
-    const dal_vec b = o->stage->after * o->h;
-    dal_vec terms = DAL_LANES(all_of)(-0.0);
-    for (size_t a = 0; a < m; a++) {
-        dal_vec size = DAL_LANES(all_of)(-0.0);
-        for (size_t c = 0; c < m; c++) at->S[a * m + c] = DAL_LANES(all_of)(-0.0);
-        for (size_t i = 0; i < DAL_N; i++) {
-            const bool turns = DAL_KERNEL_HAS(o->has.N, a * DAL_N + i);
-            if (!turns && !DAL_KERNEL_HAS(o->has.mu, a * DAL_N + i)) continue;
-            const dal_vec mu = at->mu[a * DAL_N + i];
-            const dal_vec row = turns ? mu + b * at->N[a * DAL_N + i] : mu;
-            const dal_vec entry =
-                turns ? DAL_LANES(fabs)(mu) + DAL_LANES(fabs)(row) : DAL_LANES(fabs)(mu);
-            if (m > 1) size += entry * DAL_LANES(scale)(o, o->given->unit, i);
-            for (size_t c = 0; c < m; c++) {
-                if (!DAL_KERNEL_HAS(o->has.Z, c * DAL_N + i)) continue;
-                const dal_vec Z = at->Z[c * DAL_N + i], term = row * Z;
-                at->S[a * m + c] += term;
-                terms += turns ? entry * DAL_LANES(fabs)(Z) : DAL_LANES(fabs)(term);
-            }
-        }
-        at->sizes[a] = m > 1 ? size : terms;
-        at->sizes[m + a] = m > 1 ? DAL_LANES(form)(o, at->mu_node, a) : DAL_LANES(all_of)(1.0);
-    }
-}
-
-DAL_KERNEL_INLINE dal_mask DAL_LANES(factor)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
-                                             DAL_LANES(arrays) *at)
-{
-    const dal_stage *const s = o->stage;
-    const dal_vec *const p = o->given->p;
-    if (DAL_M > 0) {
-        if (!s->linear)
-            DAL_LANES_CONSTRAINT(o->t_end, at->stored, at->w, at->mu, o->steady ? NULL : at->N, p);
-        DAL_LANES_CONSTRAINT(DAL_LANES(time)(o->given, c, s->t_node), at->node, c->x + DAL_N,
-                             at->mu_node, NULL, p);
-        at->constraint_calls += s->linear ? 1.0 : 2.0;
-        for (size_t a = 0; a < DAL_M; a++)
-            DAL_LANES(accelerate)(o, at->mu_node + a * DAL_N, at->Z + a * DAL_N);
-    }
-    for (size_t e = 0; e < DAL_M * DAL_N; e++) {
-        if (s->linear) at->mu[e] = at->mu_node[e];
-        if (s->linear || (o->steady && o->has.N)) at->N[e] = DAL_LANES(all_of)(0.0);
-    }
-    if (o->ends) {
-        DAL_LANES_PULL(o->t_end, at->stored, at->force, p);
-        at->pull_calls += 1.0;
-    }
-    if (DAL_M == 0) return at->open;
-    DAL_LANES(form_S)(o, at);
-    const dal_mask regular = DAL_LANES(factor_lu)(at);
+    (void)o;
     dal_vec inverse = at->S[0];
     for (size_t a = 1; a < DAL_M; a++) inverse *= at->S[a * (DAL_M + 1)];
     inverse = DAL_LANES(fabs)(inverse);
-    return regular & at->open & (inverse >= o->given->range[0]) & (inverse <= o->given->range[1]);
+    *open &= (inverse >= k->range[0]) & (inverse <= k->range[1]);
+    return DAL_LANES(any)(*open) ? 0 : 1;
 }
 
-/* ---- iterate */
-
-/* r <- -mu w; returns those of these lanes whose residual is within half of its bound. */
-DAL_KERNEL_INLINE dal_mask DAL_LANES(find_settled)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
-                                                   DAL_LANES(arrays) *at, dal_mask which)
+/* Lanes that have not made the stage stop. */
+DAL_KERNEL_INLINE int DAL_LANES_PART(hand_over)(DAL_LANES(kernel) *k, const DAL_LANES(traits) *o,
+                                                const DAL_LANES(arrays) *at, dal_mask *solved,
+                                                const dal_mask *made)
 {
-    if (DAL_M == 0) return which;
-    const dal_vec limit = DAL_LANES(all_of)(DAL_KERNEL_LIMIT(DAL_N));
-    const dal_vec speed = DAL_LANES(speed)(o, at->w);
-    const dal_vec seen = DAL_LANES(choose)(c->worst < limit, c->worst, limit) * speed;
-    dal_vec sum[DAL_LANES_ROWS], form[DAL_LANES_ROWS], largest = c->worst;
-    dal_mask rare[DAL_LANES_ROWS], some = {0}, settled = which;
-    for (size_t a = 0; a < DAL_M; a++) {
-        const dal_vec product = DAL_LANES(dot)(o->has.mu, at->mu, a, at->w);
-        form[a] = DAL_LANES(form)(o, at->mu, a);
-        at->r[a] = -product;
-        sum[a] = DAL_LANES(fabs)(product);
-        rare[a] = which & ~(form[a] * seen > sum[a]);
-        some |= rare[a];
-    }
-    if (!DAL_LANES(any)(some)) return which;
-    for (size_t a = 0; a < DAL_M; a++) {
-        settled &= ~rare[a] | (form[a] * (limit * speed) - sum[a] >= 0.0);
-        largest = DAL_LANES(choose)(rare[a] & (sum[a] > largest * (form[a] * speed)),
-                                    sum[a] / (form[a] * speed), largest);
-    }
-    c->worst = DAL_LANES(choose)(settled, largest, c->worst);
-    return settled;
+    (void)o, (void)at, (void)solved;
+    k->going = *made;
+    return 0;
 }
 
-DAL_KERNEL_INLINE dal_mask DAL_LANES(is_roundoff)(const DAL_LANES(traits) *o,
-                                                  const DAL_LANES(arrays) *at)
+#ifdef DAL_KERNEL_MOMENTA
+/* The terms of phi at a moved state are not evaluated: lanes that need them stop. */
+DAL_KERNEL_INLINE dal_mask DAL_LANES_PART(is_moved)(const DAL_LANES(kernel) *k,
+                                                    const DAL_LANES(traits) *o,
+                                                    const DAL_LANES(spans) *of,
+                                                    const DAL_LANES(arrays) *at, dal_mask which,
+                                                    dal_mask *open)
 {
-    const dal_vec terms = DAL_LANES(speed)(o, at->w) + DAL_LANES(speed)(o, at->goal);
-    dal_mask roundoff = at->open;
-    for (size_t a = 0; a < DAL_M; a++) {
-        dal_vec shifted = DAL_LANES(all_of)(0.0);
-        for (size_t i = 0; i < DAL_N; i++)
-            if (DAL_KERNEL_HAS(o->has.N, a * DAL_N + i))
-                shifted += DAL_LANES(fabs)(at->N[a * DAL_N + i])
-                         * (DAL_LANES(fabs)(at->stored[i]) + DAL_LANES(fabs)(at->stored[i]));
-        const dal_vec bound = 2.0 * (double)DAL_N * DAL_LANES(form)(o, at->mu, a) * terms;
-        roundoff &=
-            2.0 * DAL_KERNEL_U * (bound + shifted) - DAL_LANES(fabs)(at->r[a]) >= 0.0;
-    }
-    return roundoff;
+    (void)k, (void)o, (void)at;
+    if (!of->linear) *open &= ~which;
+    return (dal_mask){0};
+}
+#endif
+
+enum { DAL_LANES(n) = DAL_N, DAL_LANES(m) = DAL_M };
+#include <dalembert/kernel.h>
+
+/* ---- steps */
+#define DAL_KERNEL DAL_LANES(step)
+
+static void DAL_LANES(open)(const dal_lanes_block *block, const dal_lanes_layout *at,
+                            dal_vec *numbers, DAL_LANES(kernel) *k)
+{
+    *k = (DAL_LANES(kernel)){
+        .plain = block->plain, .turns = block->turns, .steady = block->steady,
+        .t0 = numbers[at->t0], .h = numbers[at->h],
+        .range = {numbers[at->range], numbers[at->range + 1]}, .number = numbers[at->number],
+        .going = numbers[at->going] != 0.0, .pulled = numbers[at->pulled] != 0.0,
+        .forced = numbers[at->forced] != 0.0, .carried = numbers[at->carried] != 0.0,
+        .stats.worst_residual = numbers[at->worst],
+        .at = {numbers + at->x, numbers + at->point}, .pull = numbers + at->pull,
+        .force0 = numbers + at->force, .impulse = numbers + at->impulse,
+        .momentum = numbers + at->momentum, .forms = numbers + at->forms,
+        .latest = numbers + at->latest, .history = numbers + at->history,
+        .known = numbers + at->known, .mass = numbers + at->mass,
+        .mass_inverse = numbers + at->mass_inverse, .unit = numbers + at->unit,
+        .per_unit = numbers + at->per_unit, .p = numbers + at->parameters,
+        .input = numbers + at->inputs};
+    if (block->momenta) k->latest_span = numbers[at->latest_span];
+    for (size_t i = 0; i < DAL_LANES_COUNTED; i++)
+        k->stats.counts[i] = __builtin_convertvector(numbers[at->counts + i], dal_mask);
 }
 
-/* The new value in these lanes; in all lanes if no others matter, so that nothing waits for which.
- */
-#define DAL_LANES_TAKE(all, which, value, old) \
-    ((all) ? (value) : DAL_LANES(choose)(which, value, old))
-
-DAL_KERNEL_INLINE void DAL_LANES(newton)(const DAL_LANES(traits) *o, const DAL_LANES(state) *c,
-                                         DAL_LANES(arrays) *at, bool first, bool all)
+static void DAL_LANES(close)(const dal_lanes_block *block, const dal_lanes_layout *at, const DAL_LANES(kernel) *k,
+                             dal_vec *numbers)
 {
-    const dal_stage *const s = o->stage;
-    const dal_vec b = s->after * o->h, *const seen = o->ends ? at->seen : at->w;
-    dal_vec y[DAL_N], r[DAL_LANES_ROWS], d[DAL_LANES_ROWS];
-    if (o->ends) DAL_LANES(accelerate)(o, at->force, y);
-    for (size_t i = 0; i < DAL_N; i++) {
-        const dal_vec kick = o->ends && DAL_KERNEL_HAS(o->has.kick, i)
-                               ? o->h * s->end * y[i] : DAL_LANES(all_of)(0.0);
-        at->move[DAL_N + i] = at->push[i] - kick;
-        at->goal[i] = at->base[i] - kick;
-        at->step[i] = at->goal[i];
-        if (!first && DAL_M > 0 && DAL_KERNEL_HAS(o->has.pull, i))
-            at->step[i] += DAL_LANES(column)(o->has.Z, at->Z, i, at->kappa);
-    }
-    for (size_t a = 0; a < DAL_M; a++) {
-        dal_vec sum = DAL_LANES(dot)(o->has.mu, at->mu, a, at->step);
-        if (o->has.N) {
-            dal_vec turn = DAL_LANES(all_of)(-0.0);
-            for (size_t i = 0; i < DAL_N; i++)
-                if (DAL_KERNEL_HAS(o->has.N, a * DAL_N + i) && DAL_KERNEL_HAS(o->has.pull, i))
-                    turn += at->N[a * DAL_N + i] * (at->step[i] - seen[i]);
-            sum += b * turn;
-        }
-        r[a] = -sum;
-    }
-    if (DAL_M > 0) DAL_LANES(solve)(at, r, d);
-    for (size_t a = 0; a < DAL_M; a++)
-        at->kappa[a] = first ? d[a]
-                     : DAL_LANES_TAKE(all, at->open, at->kappa[a] + d[a], at->kappa[a]);
-    for (size_t i = 0; i < DAL_N; i++) {
-        if (!DAL_KERNEL_HAS(o->has.pull, i)) continue;
-        const dal_vec reaction = DAL_LANES(column)(o->has.Z, at->Z, i, at->kappa);
-        const dal_vec next = at->goal[i] + reaction;
-        at->move[DAL_N + i] += reaction;
-        at->step[i] = next - at->w[i];
-        at->w[i] = next; /* a frozen lane keeps its value */
-    }
-    for (size_t i = 0; i < DAL_N; i++) {
-        const dal_vec way = b * at->w[i];
-        at->move[i] = at->lead[i] + way;
-        at->stored[i] = DAL_LANES(leave)(o, c, at, i, at->w[i], way);
-    }
+    numbers[at->number] = k->number;
+    numbers[at->going] = DAL_LANES(count)(k->going);
+    numbers[at->pulled] = DAL_LANES(count)(k->pulled);
+    numbers[at->forced] = DAL_LANES(count)(k->forced);
+    numbers[at->carried] = DAL_LANES(count)(k->carried);
+    if (block->momenta) numbers[at->latest_span] = k->latest_span;
+    numbers[at->worst] = k->stats.worst_residual;
+    for (size_t i = 0; i < DAL_LANES_COUNTED; i++)
+        numbers[at->counts + i] = __builtin_convertvector(k->stats.counts[i], dal_vec);
 }
 
-/* Whether corrections continue to shrink; balanced <- the lanes in which V_q need not be evaluated
- * again. */
-DAL_KERNEL_INLINE void DAL_LANES(judge)(const DAL_LANES(traits) *o, DAL_LANES(arrays) *at,
-                                        dal_mask *balanced, bool first)
+/* What a step of several stages may have to restore: the arrays, and the members of kernel. */
+DAL_KERNEL_INLINE void DAL_LANES(save)(const dal_lanes_layout *at, const dal_vec *numbers,
+                                       dal_vec *saved)
 {
-    const dal_stage *const s = o->stage;
-    dal_vec size = DAL_LANES(all_of)(-0.0), extent = DAL_LANES(all_of)(-0.0);
-    for (size_t i = 0; i < DAL_N; i++) {
-        const dal_vec per_unit = DAL_LANES(scale)(o, o->given->per_unit, i);
-        if (DAL_KERNEL_HAS(o->has.pull, i)) size += DAL_LANES(fabs)(at->step[i]) * per_unit;
-        extent += DAL_LANES(fabs)(at->goal[i]) * per_unit;
-    }
-    const dal_vec noise = 8.0 * DAL_KERNEL_U * extent;
-    if (!first) /* else it may be larger */
-        at->open &= at->anew | (size <= 0.5 * at->last) | (size <= noise);
-    if (o->ends) {
-        const dal_vec next = first ? DAL_LANES(all_of)(0.0) : size * (size / at->last);
-        *balanced = size <= noise;
-        if (!first)
-            *balanced |= ~at->anew
-                       & (DAL_KERNEL_SAFETY * next * s->reuse <= noise * fabs(s->end));
-        at->anew = at->passed & *balanced;
-        at->passed = ~*balanced & (next <= DAL_KERNEL_PASSING * noise);
-    } else {
-        at->anew = (dal_mask){0};
-    }
-    at->last = size;
+    for (size_t i = at->x; i < at->end; i++) saved[i] = numbers[i];
 }
 
-/* One correction of the lanes that are open.  The arguments first and all are constants after
- * inlining. */
-DAL_KERNEL_INLINE void DAL_LANES(correct)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
-                                          DAL_LANES(arrays) *at, bool first, bool all)
+/* Restores the lanes that have not made all stages of a step to the state before it. */
+static void DAL_LANES(take_back)(const dal_lanes_layout *at, const dal_vec *saved,
+                                 const DAL_LANES(kernel) *before, dal_vec *numbers,
+                                 DAL_LANES(kernel) *k)
 {
-    const dal_vec *const p = o->given->p;
-    dal_mask balanced = ~(dal_mask){0};
-    at->iterations += DAL_LANES(count)(at->open);
-    DAL_LANES(newton)(o, c, at, first, all);
-    if (!o->known || o->ends) DAL_LANES(judge)(o, at, &balanced, first);
-    dal_mask look = at->open;
-    if (o->ends) look &= ~at->passed;
-    if (!o->known && DAL_LANES(any)(look)) {
-        dal_vec mu[DAL_LANES_ROWS * DAL_N];
-        DAL_LANES_CONSTRAINT(o->t_end, at->stored, at->w, mu, NULL, p);
-        at->constraint_calls += DAL_LANES(count)(look);
-        if (all && !(o->ends && DAL_LANES(any)(at->open & ~look))) {
-            for (size_t e = 0; e < DAL_M * DAL_N; e++) at->mu[e] = mu[e];
-            for (size_t i = 0; o->ends && i < DAL_N; i++) at->seen[i] = at->w[i];
-        } else {
-            for (size_t e = 0; e < DAL_M * DAL_N; e++)
-                at->mu[e] = DAL_LANES(choose)(look, mu[e], at->mu[e]);
-            for (size_t i = 0; o->ends && i < DAL_N; i++)
-                at->seen[i] = DAL_LANES(choose)(look, at->w[i], at->seen[i]);
-        }
-    }
-    const dal_mask again = at->open & ~balanced;
-    if (o->ends && DAL_LANES(any)(again)) {
-        dal_vec force[DAL_N];
-        DAL_LANES_PULL(o->t_end, at->stored, force, p);
-        at->pull_calls += DAL_LANES(count)(again);
-        if (all && !DAL_LANES(any)(at->open & balanced)) {
-            for (size_t i = 0; i < DAL_N; i++) at->force[i] = force[i];
-            return;
-        }
-        for (size_t i = 0; i < DAL_N; i++)
-            at->force[i] = DAL_LANES(choose)(again, force[i], at->force[i]);
-    }
-    const dal_mask last = at->open & balanced;
-    const dal_mask settled = DAL_LANES(find_settled)(o, c, at, last);
-    at->settled |= settled;
-    dal_mask done = o->known ? last : settled;
-    if (!o->known && DAL_LANES(any)(last & ~settled))
-        done |= last & DAL_LANES(is_roundoff)(o, at);
-    at->solved |= done;
-    at->open &= ~done;
+    const dal_mask going = k->going;
+    for (size_t i = at->x; i < at->end; i++)
+        numbers[i] = DAL_LANES(choose)(going, numbers[i], saved[i]);
+    k->pulled = (k->pulled & going) | (before->pulled & ~going);
+    k->forced = (k->forced & going) | (before->forced & ~going);
+    k->carried = (k->carried & going) | (before->carried & ~going);
+    k->latest_span = DAL_LANES(choose)(going, k->latest_span, before->latest_span);
+    k->stats.worst_residual =
+        DAL_LANES(choose)(going, k->stats.worst_residual, before->stats.worst_residual);
+    for (size_t i = 0; i < DAL_LANES_COUNTED; i++)
+        k->stats.counts[i] = (k->stats.counts[i] & going) | (before->stats.counts[i] & ~going);
 }
 
-/* ---- settle, commit */
-DAL_KERNEL_INLINE void DAL_LANES(settle)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
-                                         DAL_LANES(arrays) *at)
+/* A stage of the lanes that go on. */
+DAL_KERNEL_INLINE void DAL_LANES(make_stage)(const dal_lanes_block *block, DAL_LANES(kernel) *k,
+                                             const dal_stage *s)
 {
-    const dal_mask rest = at->solved & ~at->settled;
-    if (DAL_M > 0 && DAL_LANES(any)(rest)) {
-        DAL_LANES(solve)(at, at->r, at->d);
-        for (size_t i = 0; i < DAL_N; i++) {
-            const dal_vec mended = DAL_LANES(choose)(
-                rest, at->w[i] + DAL_LANES(column)(o->has.Z, at->Z, i, at->d), at->w[i]);
-            at->move[DAL_N + i] += mended - at->w[i];
-            at->w[i] = mended;
-        }
-        at->settled |= DAL_LANES(find_settled)(o, c, at, rest);
-    }
-    dal_vec total = DAL_LANES(all_of)(-0.0);
-    for (size_t i = 0; i < DAL_N; i++) total += at->stored[i];
-    at->settled &= at->solved & (DAL_LANES(fabs)(total) <= DBL_MAX);
-}
-
-DAL_KERNEL_INLINE void DAL_LANES(commit)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
-                                         const DAL_LANES(arrays) *at, bool all)
-{
-    const dal_mask made = at->settled, fresh = made & (c->pulled == 0.0);
-    const dal_vec zero = DAL_LANES(all_of)(0.0);
-    dal_vec *const latest = c->pull, *const past = latest + DAL_N, *const first = past + DAL_N;
-    for (size_t i = 0; i < DAL_N; i++) {
-        dal_vec *const x = &c->x[i], *const v = x + DAL_N, *const low = &c->low[i];
-        low[0] = DAL_LANES_TAKE(all, made, *x - at->stored[i] + at->move[i], low[0]);
-        low[DAL_N] = DAL_LANES_TAKE(all, made, *v - at->w[i] + at->move[DAL_N + i], low[DAL_N]);
-        if (!o->steady && DAL_KERNEL_HAS(o->has.pull, i)) {
-            first[i] = DAL_LANES_TAKE(all, made, past[i], first[i]);
-            past[i] = DAL_LANES_TAKE(all, made, latest[i], past[i]);
-            latest[i] = DAL_LANES_TAKE(all, made, at->w[i] - at->base[i], latest[i]);
-        }
-        *x = DAL_LANES_TAKE(all, made, at->stored[i], *x);
-        *v = DAL_LANES_TAKE(all, made, at->w[i], *v);
-        if (o->ends) c->force[i] = DAL_LANES_TAKE(all, made, at->force[i], c->force[i]);
-    }
-    if (!o->steady && DAL_LANES(any)(fresh)) {
-        for (size_t i = 0; i < DAL_N; i++) {
-            past[i] = DAL_LANES(choose)(fresh, latest[i], past[i]);
-            first[i] = DAL_LANES(choose)(fresh, latest[i], first[i]);
-        }
-        c->pulled = DAL_LANES(choose)(fresh, DAL_LANES(all_of)(1.0), c->pulled);
-    }
-    for (size_t a = 0; a < DAL_M; a++)
-        c->impulse[a] = DAL_LANES_TAKE(all, made, c->impulse[a] + at->kappa[a], c->impulse[a]);
-    if (DAL_LANES_HAS_PULL && !o->plain)
-        c->forced = DAL_LANES_TAKE(all, made, DAL_LANES(all_of)(o->ends), c->forced);
-    c->iterations += DAL_LANES_TAKE(all, made, at->iterations, zero);
-    c->constraint_calls += DAL_LANES_TAKE(all, made, at->constraint_calls, zero);
-    c->pull_calls += DAL_LANES_TAKE(all, made, at->pull_calls, zero);
-}
-
-/* A stage of the active lanes; returns the lanes that completed it. */
-DAL_KERNEL_INLINE dal_mask DAL_LANES(stage)(const dal_lanes_block *block,
-                                            const DAL_LANES(given) *given, const dal_stage *s,
-                                            DAL_LANES(state) *c, dal_mask going, bool plain)
-{
-    DAL_LANES(arrays) at;
-    dal_pattern has = DAL_LANES_PATTERN;
-    const bool inside = DAL_LANES_STEADY > 0 && plain;
-    const bool steady = inside || (DAL_LANES_STEADY != 0 && block->steady);
-    if (inside) has.N = 0;
-    const DAL_LANES(traits) o = {
-        .stage = s, .given = given, .h = given->h, .t_end = DAL_LANES(time)(given, c, s->t_end),
-        .has = has, .plain = plain, .steady = steady,
-        .turns = DAL_LANES_STEADY > 1,
-        .ends = DAL_LANES_HAS_PULL && !plain && s->end != 0.0,
-        .known = DAL_M == 0 || steady || s->linear, .apart = plain && DAL_LANES_STEADY > 1};
-    at.iterations = at.constraint_calls = at.pull_calls = DAL_LANES(all_of)(0.0);
-    at.solved = at.settled = at.passed = (dal_mask){0};
-    at.open = going;
-    DAL_LANES(predict)(&o, c, &at);
-    at.open = DAL_LANES(factor)(&o, c, &at);
-    if (o.apart) {
-        if (DAL_LANES_HAS_PULL) DAL_LANES(kick)(&o, c, &at);
-        for (size_t i = 0; i < DAL_N; i++) at.w[i] = at.base[i];
-    }
-    if (o.ends)
-        for (size_t i = 0; i < DAL_N; i++) at.seen[i] = at.w[i];
-    DAL_LANES(correct)(&o, c, &at, true, true);
-    for (int i = 2; i <= DAL_KERNEL_CORRECTIONS && DAL_LANES(any)(at.open); i++)
-        if (!DAL_LANES(any)(at.solved)) DAL_LANES(correct)(&o, c, &at, false, true);
-        else DAL_LANES(correct)(&o, c, &at, false, false);
-    DAL_LANES(settle)(&o, c, &at);
-    if (!DAL_LANES(any)(~at.settled)) DAL_LANES(commit)(&o, c, &at, true);
-    else DAL_LANES(commit)(&o, c, &at, false);
-    return at.settled;
-}
-
-/* Separate functions, so that no compiler moves the beginning of a stage to a common place. */
-DAL_KERNEL_APART dal_mask DAL_LANES(stage_at_nodes)(const dal_lanes_block *block,
-                                                    const DAL_LANES(given) *given,
-                                                    const dal_stage *s, DAL_LANES(state) *c,
-                                                    dal_mask going)
-{
-    return DAL_LANES(stage)(block, given, s, c, going, true);
-}
-
-DAL_KERNEL_APART dal_mask DAL_LANES(stage_in_general)(const dal_lanes_block *block,
-                                                      const DAL_LANES(given) *given,
-                                                      const dal_stage *s, DAL_LANES(state) *c,
-                                                      dal_mask going)
-{
-    return DAL_LANES(stage)(block, given, s, c, going, false);
-}
-
-/* Restores the state before an incomplete step of several stages, as in kernel.h. */
-DAL_KERNEL_INLINE void DAL_LANES(take_back)(DAL_LANES(state) *c, const DAL_LANES(state) *saved,
-                                            dal_mask going)
-{
-    dal_vec *const now = (dal_vec *)c;
-    const dal_vec *const before = (const dal_vec *)saved;
-    for (size_t i = 0; i < sizeof *c / sizeof *now; i++)
-        now[i] = DAL_LANES(choose)(going, now[i], before[i]);
+    if (!DAL_LANES(any)(k->going)) return;
+#ifdef DAL_LANES_BALANCE
+    (void)block;
+    (void)DAL_LANES_PART(stage_of_either)(k, k->number, s, NULL, k->at.x, k->pull);
+#else
+    if (block->plain) (void)DAL_LANES_PART(plain_stage)(k, k->number, s, NULL, k->at.x, k->pull);
+    else (void)DAL_LANES_PART(stage_in_general)(k, k->number, s, NULL, k->at.x, k->pull);
+#endif
 }
 
 static void DAL_LANES(advance)(const dal_lanes_block *block, size_t steps)
 {
     enum { TURNS = DAL_LANES_TURNS };
-    const bool plain = !DAL_LANES_HAS_PULL || block->plain;
-    const size_t size = sizeof(DAL_LANES(given)) / sizeof(dal_vec) + block->parameters;
-    DAL_LANES(state) *const state = (DAL_LANES(state) *)block->carried, saved[TURNS];
-    const DAL_LANES(given) *given[TURNS];
-    dal_mask going[TURNS], began[TURNS];
+    const dal_lanes_layout at = dal_lanes_layout_of(
+        DAL_LANES(n), DAL_LANES(m), block->momenta, block->kinds, block->parameters, block->inputs);
+    const bool several = block->stages > 1;
+    dal_vec *numbers[TURNS], *saved[TURNS];
+    DAL_LANES(kernel) kernel[TURNS], before[TURNS];
     for (size_t b = 0; b < TURNS; b++) {
-        given[b] = (const DAL_LANES(given) *)((const dal_vec *)block->given + b * size);
-        going[b] = state[b].going != 0.0;
+        numbers[b] = (dal_vec *)block->numbers + b * at.count;
+        saved[b] = (dal_vec *)block->saved + b * at.count;
+        DAL_LANES(open)(block, &at, numbers[b], &kernel[b]);
     }
-    for (size_t k = 0; k < steps; k++) {
+    for (size_t step = 0; step < steps; step++) {
         dal_mask some = {0};
         for (size_t b = 0; b < TURNS; b++) {
-            some |= began[b] = going[b];
-            if (block->stages > 1) saved[b] = state[b];
+            some |= kernel[b].going;
+            kernel[b].formed = false;
+            if (!several) continue;
+            before[b] = kernel[b];
+            DAL_LANES(save)(&at, numbers[b], saved[b]);
         }
         if (!DAL_LANES(any)(some)) break;
         for (const dal_stage *s = block->stage; s < block->stage + block->stages; s++)
-            for (size_t b = 0; b < TURNS; b++)
-                if (DAL_LANES(any)(going[b]))
-                    going[b] = plain
-                        ? DAL_LANES(stage_at_nodes)(block, given[b], s, &state[b], going[b])
-                        : DAL_LANES(stage_in_general)(block, given[b], s, &state[b], going[b]);
+            for (size_t b = 0; b < TURNS; b++) DAL_LANES(make_stage)(block, &kernel[b], s);
         for (size_t b = 0; b < TURNS; b++) {
-            if (block->stages > 1 && DAL_LANES(any)(began[b] & ~going[b]))
-                DAL_LANES(take_back)(&state[b], &saved[b], going[b]);
-            state[b].number += DAL_LANES(count)(going[b]);
+            if (several && DAL_LANES(any)(before[b].going & ~kernel[b].going))
+                DAL_LANES(take_back)(&at, saved[b], &before[b], numbers[b], &kernel[b]);
+            kernel[b].number += DAL_LANES(count)(kernel[b].going);
         }
     }
-    for (size_t b = 0; b < TURNS; b++) state[b].going = DAL_LANES(count)(going[b]);
+    for (size_t b = 0; b < TURNS; b++)
+        DAL_LANES(close)(block, &at, &kernel[b], numbers[b]);
 }
 
-#undef DAL_LANES_TAKE
-#undef DAL_LANES_ROWS
-#undef DAL_LANES_HAS_PULL
+#undef DAL_KERNEL
+#undef DAL_LANES_PART
 #undef DAL_LANES_PULL
+#undef DAL_LANES_BALANCE
+#undef DAL_LANES_MASS
+#undef DAL_LANES_KIND
 #undef DAL_LANES_CONSTRAINT
 #undef DAL_LANES_PATTERN
 #undef DAL_LANES_STEADY
-#undef DAL_N
-#undef DAL_M
 #undef DAL_LANES_VECTOR
 #undef DAL_LANES
+#undef dal_vec
+#undef dal_mask
 #endif /* DAL_LANES && DAL_N */

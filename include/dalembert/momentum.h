@@ -41,14 +41,6 @@ enum { DAL_MOMENTUM_PASSES = 4 };
  */
 #define DAL_MOMENTUM_PIVOT 1e-12
 
-/* The additional properties of a stage in momentum form. */
-typedef struct dal_spans {
-    double b, early, late;  /* B h, h start, h end */
-    bool constant;          /* M */
-    bool linear, nonlinear; /* the constraints */
-    bool still;             /* q~' is q_k, */
-    bool known;             /* and mu(q~') is mu_k */
-} dal_spans;
 #endif /* DALEMBERT_MOMENTUM_H */
 
 /* ---- once for each inclusion of kernel.h ---------------------------------------------------- */
@@ -56,19 +48,19 @@ typedef struct dal_spans {
 /* A[size*size], nearly symmetric and positive definite, becomes its factors L and U, without a
  * change of rows, the diagonal of U inverted.  False if a pivot is not positive, or small against
  * the terms that were added up to that entry of the diagonal. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(eliminate)(size_t size, unsigned long long mask, double *A,
-                                                  const double *terms)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(eliminate)(size_t size, unsigned long long mask, dal_real *A,
+                                                  const dal_real *terms)
 {
-    bool regular = true;
+    dal_flag regular = DAL_FLAG(true);
     DAL_KERNEL_UNROLL
     for (size_t j = 0; j < size; j++) {
-        const double pivot = A[j * size + j], inverse = 1.0 / pivot;
-        if (!(pivot > DAL_MOMENTUM_PIVOT * terms[j])) regular = false;
+        const dal_real pivot = A[j * size + j], inverse = 1.0 / pivot;
+        regular = DAL_ALSO(regular, pivot > DAL_MOMENTUM_PIVOT * terms[j]);
         A[j * size + j] = inverse;
         DAL_KERNEL_UNROLL
         for (size_t i = j + 1; i < size; i++) {
             if (!DAL_KERNEL_HAS(mask, i * size + j)) continue;
-            const double l = A[i * size + j] * inverse;
+            const dal_real l = A[i * size + j] * inverse;
             A[i * size + j] = l;
             DAL_KERNEL_UNROLL
             for (size_t c = j + 1; c < size; c++)
@@ -79,8 +71,8 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(eliminate)(size_t size, unsigned long lon
 }
 
 /* y[size] <- A^-1 y. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve)(size_t size, unsigned long long mask, const double *A,
-                                              double *y)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve)(size_t size, unsigned long long mask, const dal_real *A,
+                                              dal_real *y)
 {
     DAL_KERNEL_UNROLL
     for (size_t i = 1; i < size; i++) {
@@ -99,32 +91,37 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve)(size_t size, unsigned long long ma
 }
 
 /* ---- begin: p and F at the start, and the known part of p' */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel *k, const dal_traits *o,
-                                             const dal_spans *of, const dal_arrays *at,
-                                             const dal_balance *balance)
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel_of *k, const dal_traits_of *o,
+                                             const dal_spans_of *of, const dal_arrays_of *at,
+                                             const dal_balance_of *balance, dal_flag going)
 {
     DAL_KERNEL_SIZES;
-    const double *const x = at->x;
-    const bool pushed = of->early != 0.0;
+    const dal_real *const x = at->x;
+    const bool pushed = of->pushed;
+    dal_flag unknown = DAL_AND(going, DAL_NOT(k->carried));
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) at->push[i] = k->carried ? at->low[n + i] : 0.0;
-    if (of->constant && !k->carried) {
+    for (size_t i = 0; i < n; i++)
+        at->push[i] = DAL_SELECT(k->carried, at->low[n + i], DAL_NUMBER(0.0));
+    if (of->constant && DAL_ANY(unknown)) {
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
-            k->momentum[i] = dal_kernel_dot(n, o->has.inverse, k->mass, i, x + n);
-        k->carried = true;
+            k->momentum[i] = DAL_SELECT(
+                unknown, DAL_KERNEL_PART(dot)(n, o->has.inverse, k->mass, i, x + n),
+                k->momentum[i]);
     }
-    if (DAL_KERNEL_RARE(!k->carried || (pushed && !k->forced))) {
-        DAL_KERNEL_COPY(2 * n, x, k->at.x);
-        const int status = DAL_KERNEL_PART(push)(k, o->number, o->stage,
-                                                 k->carried ? NULL : k->momentum, pushed);
+    if (of->constant) unknown = DAL_FLAG(false);
+    const dal_flag forces = pushed ? DAL_OR(unknown, DAL_AND(going, DAL_NOT(k->forced)))
+                                   : DAL_FLAG(false);
+    if (DAL_KERNEL_RARE(DAL_ANY(DAL_OR(unknown, forces)))) {
+        if (!DAL_KERNEL_LANES) DAL_KERNEL_COPY(2 * n, x, k->at.x);
+        const int status = DAL_KERNEL_PART(push)(k, o->number, o->stage, unknown, forces);
         if (status) return status;
-        k->carried = true;
+        DAL_COUNT_START(at->tally, DAL_OR(unknown, forces));
     }
-    const double before = o->kept ? 0.0 : o->stage->before * k->h;
+    const dal_real before = (o->kept ? 0.0 : o->stage->before) * k->h;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        const double way = before * x[n + i];
+        const dal_real way = before * x[n + i];
         at->lead[i] = at->low[i] + way;
         at->from[i] = x[i] + at->lead[i];
         at->node[i] = o->kept ? x[i] : at->from[i];
@@ -138,12 +135,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel *k, const dal_traits *o,
 }
 
 /* w <- v plus the prediction of v' - v from earlier stages. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(extrapolate)(const dal_kernel *k, const dal_traits *o,
-                                                    const dal_arrays *at)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(extrapolate)(const dal_kernel_of *k, const dal_traits_of *o,
+                                                    const dal_arrays_of *at)
 {
     DAL_KERNEL_SIZES;
-    const double *const past = k->history + 4 * n * o->stage->kind;
-    const double *const weight = o->stage->past[k->known[o->stage->kind]];
+    const dal_real *const past = k->history + 4 * n * o->stage->kind;
+    DAL_WEIGHTS(weight, k, o->stage);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
         at->w[i] = at->x[n + i] + (weight[3] * past[3 * n + i] + weight[2] * past[2 * n + i]
@@ -151,87 +148,93 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(extrapolate)(const dal_kernel *k, const d
 }
 
 /* phi and mu at the state to be stored, and N unless NULL; mu_k if it depends on v'. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(constrain)(dal_kernel *k, const dal_traits *o,
-                                                 const dal_spans *of, const dal_arrays *at,
-                                                 double *phi, double *N)
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(constrain)(dal_kernel_of *k, const dal_traits_of *o,
+                                                 const dal_spans_of *of, const dal_arrays_of *at,
+                                                 dal_flag which, dal_real *phi, dal_real *N)
 {
     DAL_KERNEL_SIZES;
     int returned = 0;
+    (void)which;
     if (m == 0) return 0;
     if (!of->known)
-        returned = DAL_KERNEL_FORMS(k, o->t_end, at->point, at->w, of->linear ? NULL : phi, at->mu,
+        returned = DAL_FORMS(k, at, which, o->t_end, at->point, at->w, of->linear ? NULL : phi, at->mu,
                                     N);
     if (returned || !of->nonlinear) return returned;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) at->goal[i] = 0.5 * (at->x[n + i] + at->w[i]);
-    return DAL_KERNEL_FORMS(k, dal_kernel_time(k, o->number, o->stage->t_node), at->node, at->goal,
+    return DAL_FORMS(k, at, which, DAL_KERNEL_TIME(k, o->number, o->stage->t_node), at->node, at->goal,
                             NULL, at->mu_node, NULL);
 }
 
 /* r <- -phi at the state to be stored. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(miss)(const dal_kernel *k, const dal_traits *o,
-                                             const dal_spans *of, const dal_arrays *at,
-                                             const double *phi)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(miss)(const dal_kernel_of *k, const dal_traits_of *o,
+                                             const dal_spans_of *of, const dal_arrays_of *at,
+                                             const dal_real *phi)
 {
     DAL_KERNEL_SIZES;
     (void)k;
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++)
-        at->r[a] = of->linear ? -dal_kernel_dot(n, o->has.mu, at->mu, a, at->w) : -phi[a];
+        at->r[a] = of->linear ? -DAL_KERNEL_PART(dot)(n, o->has.mu, at->mu, a, at->w) : -phi[a];
 }
 
-/* The same.  Returns true if every residual is at most half of its bound, and then updates the
- * statistics.  Unless exact, the terms of phi, sum_i |mu^a_i v_i| + |phi^a - mu^a v|, replace s^a
- * of residual.h, which is not smaller. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_within)(dal_kernel *k, const dal_traits *o,
-                                                  const dal_spans *of, const dal_arrays *at,
-                                                  const dal_balance *balance, bool exact)
+/* The same.  Returns those of these lanes in which every residual is at most half of its bound, and
+ * updates their statistics.  Unless exact, the terms of phi, sum_i |mu^a_i v_i| + |phi^a - mu^a v|,
+ * replace s^a of residual.h, which is not smaller. */
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_within)(dal_kernel_of *k, const dal_traits_of *o,
+                                                      const dal_spans_of *of,
+                                                      const dal_arrays_of *at,
+                                                      const dal_balance_of *balance,
+                                                      dal_flag which, bool exact)
 {
     DAL_KERNEL_SIZES;
     const double limit = DAL_KERNEL_LIMIT(n);
-    const double *const unit = of->constant ? k->unit : balance->unit;
-    const double *const per_unit = of->constant ? k->per_unit : balance->per_unit;
-    const double speed = exact ? dal_residual_speed(n, per_unit, at->w) : 0.0;
-    double largest = k->stats.worst_residual;
-    bool settled = true;
+    const dal_real *const unit = of->constant ? k->unit : balance->unit;
+    const dal_real *const per_unit = of->constant ? k->per_unit : balance->per_unit;
+    const dal_real speed = exact ? DAL_KERNEL_PART(speed)(n, per_unit, at->w) : DAL_NUMBER(0.0);
+    dal_real largest = k->stats.worst_residual;
+    dal_flag settled = which;
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        double sum = -0.0, terms = -0.0;
+        dal_real sum = DAL_NUMBER(-0.0), terms = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
             if (!DAL_KERNEL_HAS(o->has.mu, a * n + i)) continue;
-            const double term = at->mu[a * n + i] * at->w[i];
+            const dal_real term = at->mu[a * n + i] * at->w[i];
             sum += term;
-            terms += exact ? fabs(at->mu[a * n + i]) * unit[i] * speed : fabs(term);
+            terms += exact ? DAL_ABS(at->mu[a * n + i]) * unit[i] * speed : DAL_ABS(term);
         }
-        const double value = of->linear ? sum : balance->phi[a];
-        if (!of->linear) terms += fabs(value - sum);
+        const dal_real value = of->linear ? sum : balance->phi[a];
+        if (!of->linear) terms += DAL_ABS(value - sum);
         at->r[a] = -value;
-        if (!of->linear) at->sizes[a] = terms;
-        if (!(limit * terms - fabs(value) >= 0.0)) settled = false; /* nor if both are infinite */
-        if (fabs(value) > largest * terms) largest = fabs(value) / terms;
+        if (!of->linear) at->sizes[a] = DAL_TAKE(!exact, which, terms, at->sizes[a]);
+        /* nor if both are infinite */
+        settled = DAL_ALSO(settled, limit * terms - DAL_ABS(value) >= 0.0);
+        const dal_flag larger = DAL_ABS(value) > largest * terms;
+        if (DAL_ANY(larger)) largest = DAL_SELECT(larger, DAL_ABS(value) / terms, largest);
     }
-    if (settled) k->stats.worst_residual = largest;
+    if (DAL_ANY(settled))
+        k->stats.worst_residual = DAL_SELECT(settled, largest, k->stats.worst_residual);
     return settled;
 }
 
 /* Whether A[n*n] is positive definite: by the pivots of L D L^T, beside its diagonal.  In the lower
  * half of A are then L, and D^-1. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_definite)(const dal_kernel *k, unsigned long long mask,
-                                                    double *A, const double *diagonal)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_definite)(const dal_kernel_of *k, unsigned long long mask,
+                                                    dal_real *A, const dal_real *diagonal)
 {
     DAL_KERNEL_SIZES;
     (void)k;
-    bool definite = true;
+    dal_flag definite = DAL_FLAG(true);
     DAL_KERNEL_UNFOLD
     for (size_t j = 0; j < n; j++) {
-        const double pivot = A[j * n + j], inverse = 1.0 / pivot;
-        if (!(pivot > DAL_MOMENTUM_PIVOT * diagonal[j])) definite = false;
+        const dal_real pivot = A[j * n + j], inverse = 1.0 / pivot;
+        definite = DAL_ALSO(definite, pivot > DAL_MOMENTUM_PIVOT * diagonal[j]);
         A[j * n + j] = inverse;
         DAL_KERNEL_UNFOLD
         for (size_t i = j + 1; i < n; i++) {
             if (!DAL_KERNEL_HAS(mask, i * n + j)) continue;
-            const double entry = A[i * n + j];
+            const dal_real entry = A[i * n + j];
             A[i * n + j] *= inverse;
             DAL_KERNEL_UNFOLD
             for (size_t c = j + 1; c <= i; c++)
@@ -243,44 +246,50 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_definite)(const dal_kernel *k, unsigne
 
 /* unit, per_unit <- those of residual.h for the metric L_vv, from L and D^-1 of is_definite: column
  * j of L^-1 determines (M^-1)_jj. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(measure)(const dal_kernel *k, unsigned long long mask,
-                                                const dal_balance *balance)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(measure)(const dal_kernel_of *k, unsigned long long mask,
+                                                const dal_balance_of *balance)
 {
     (void)k;
     DAL_KERNEL_SIZES;
-    const double *const L = balance->L_vv;
-    double *const column = balance->per_unit;
+    const dal_real *const L = balance->L_vv;
+    dal_real *const column = balance->per_unit;
     DAL_KERNEL_UNFOLD
     for (size_t j = 0; j < n; j++) {
-        double sum = L[j * n + j];
+        dal_real sum = L[j * n + j];
         DAL_KERNEL_UNFOLD
         for (size_t i = j + 1; i < n; i++) {
-            column[i] = DAL_KERNEL_HAS(mask, i * n + j) ? -L[i * n + j] : 0.0;
+            column[i] = DAL_KERNEL_HAS(mask, i * n + j) ? -L[i * n + j] : DAL_NUMBER(0.0);
             DAL_KERNEL_UNFOLD
             for (size_t c = j + 1; c < i; c++)
                 if (DAL_KERNEL_HAS(mask, i * n + c)) column[i] -= L[i * n + c] * column[c];
             sum += column[i] * column[i] * L[i * n + i];
         }
-        balance->unit[j] = sqrt(sum);
+        balance->unit[j] = DAL_SQRT(sum);
     }
     DAL_KERNEL_UNFOLD
     for (size_t j = 0; j < n; j++) balance->per_unit[j] = 1.0 / balance->unit[j];
 }
 
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_in_D)(dal_kernel *k, const dal_traits *o,
-                                                const dal_spans *of, const dal_arrays *at,
-                                                const dal_balance *balance)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_in_D)(dal_kernel_of *k, const dal_traits_of *o,
+                                                    const dal_spans_of *of,
+                                                    const dal_arrays_of *at,
+                                                    const dal_balance_of *balance, dal_flag which)
 {
-    if (DAL_KERNEL_PART(is_within)(k, o, of, at, balance, false)) return true;
+    const dal_flag within = DAL_KERNEL_PART(is_within)(k, o, of, at, balance, which, false);
+    const dal_flag rest = DAL_AND(which, DAL_NOT(within));
+    if (!DAL_ANY(rest)) return within;
     if (!of->constant) DAL_KERNEL_PART(measure)(k, o->has.K, balance);
-    return DAL_KERNEL_PART(is_within)(k, o, of, at, balance, true);
+    return DAL_OR(within, DAL_KERNEL_PART(is_within)(k, o, of, at, balance, rest, true));
 }
 
+#if !DAL_KERNEL_LANES
 /* The same with the moves, after is_in_D. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_moved)(dal_kernel *k, const dal_traits *o,
-                                                 const dal_spans *of, const dal_arrays *at)
+                                                 const dal_spans *of, const dal_arrays *at,
+                                                 bool which, bool *open)
 {
     DAL_KERNEL_SIZES;
+    (void)which, (void)open;
     if (of->linear || o->kept) return false;
     DAL_KERNEL_COPY(n, at->point, k->at.point);
     DAL_KERNEL_COPY(n, at->w, k->at.w);
@@ -295,22 +304,24 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_moved)(dal_kernel *k, const dal_traits
     k->stats.worst_residual = largest;
     return true;
 }
+#endif
 
 /* The size of phi relative to its terms. */
-DAL_KERNEL_INLINE double DAL_KERNEL_PART(distance)(size_t m, const dal_arrays *at)
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(distance)(size_t m, const dal_arrays_of *at)
 {
-    double most = 0.0;
+    dal_real most = DAL_NUMBER(0.0);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++)
-        if (fabs(at->r[a]) > most * at->sizes[a]) most = fabs(at->r[a]) / at->sizes[a];
+        most = DAL_SELECT(DAL_ABS(at->r[a]) > most * at->sizes[a],
+                          DAL_ABS(at->r[a]) / at->sizes[a], most);
     return most;
 }
 
 /* Entry ij of K without L_vv. */
-DAL_KERNEL_INLINE double DAL_KERNEL_PART(turn)(const dal_traits *o, const dal_spans *of,
-                                               const dal_balance *balance, size_t ij)
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(turn)(const dal_traits_of *o, const dal_spans_of *of,
+                                               const dal_balance_of *balance, size_t ij)
 {
-    double sum = -0.0;
+    dal_real sum = DAL_NUMBER(-0.0);
     if (!of->still && DAL_KERNEL_HAS(o->has.L_vq, ij)) sum += of->b * balance->L_vq[ij];
     if (DAL_KERNEL_HAS(o->has.F_v, ij)) sum -= of->late * balance->F_v[ij];
     if (!of->still && DAL_KERNEL_HAS(o->has.F_q, ij)) sum -= of->late * of->b * balance->F_q[ij];
@@ -319,28 +330,32 @@ DAL_KERNEL_INLINE double DAL_KERNEL_PART(turn)(const dal_traits *o, const dal_sp
 
 /* K and S, factored, from the evaluations at the prediction; Z; L_vv becomes its factors.  Returns
  * false if one is not regular. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(form)(const dal_kernel *k, const dal_traits *o,
-                                             const dal_spans *of, const dal_arrays *at,
-                                             const dal_balance *balance)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(form)(const dal_kernel_of *k, const dal_traits_of *o,
+                                             const dal_spans_of *of, const dal_arrays_of *at,
+                                             const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
-    double *const factors = balance->factors, *const share = balance->share;
-    double *const K = balance->K, *const terms = at->step, b = of->b;
+    dal_real *const factors = balance->factors, *const share = balance->share;
+    dal_real *const K = balance->K, *const terms = at->step;
+    const dal_real b = of->b;
+    dal_flag regular = DAL_FLAG(true);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
         share[i] = balance->L_vv[i * n + i];
-        terms[i] = share[i] + fabs(DAL_KERNEL_PART(turn)(o, of, balance, i * n + i));
+        terms[i] = share[i] + DAL_ABS(DAL_KERNEL_PART(turn)(o, of, balance, i * n + i));
         DAL_KERNEL_UNROLL
         for (size_t ij = i * n; ij < (i + 1) * n; ij++)
             factors[ij] = K[ij] = balance->L_vv[ij] + DAL_KERNEL_PART(turn)(o, of, balance, ij);
     }
-    if (!of->constant && !DAL_KERNEL_PART(is_definite)(k, o->has.K, balance->L_vv, share))
-        return false;
-    if (!DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms)) return false;
+    if (!of->constant)
+        regular = DAL_KERNEL_PART(is_definite)(k, o->has.K, balance->L_vv, share);
+    if (!DAL_ANY(regular)) return regular;
+    regular = DAL_ALSO(regular, DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms));
+    if (!DAL_ANY(regular)) return regular;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
         share[i] *= factors[i * n + i];
-        if (!(share[i] < 1.0)) share[i] = 1.0;
+        share[i] = DAL_SELECT(share[i] < 1.0, share[i], DAL_NUMBER(1.0));
     }
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
@@ -349,71 +364,75 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(form)(const dal_kernel *k, const dal_trai
     }
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        at->sizes[a] = -0.0;
+        at->sizes[a] = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
-        for (size_t c = 0; c < m; c++) at->S[a * m + c] = -0.0;
+        for (size_t c = 0; c < m; c++) at->S[a * m + c] = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
             const bool turns = DAL_KERNEL_HAS(o->has.N, a * n + i);
             if (!turns && !DAL_KERNEL_HAS(o->has.mu, a * n + i)) continue;
-            const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
-            const double entry = turns ? fabs(mu) + fabs(row) : fabs(mu);
+            const dal_real mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
+            const dal_real entry = turns ? DAL_ABS(mu) + DAL_ABS(row) : DAL_ABS(mu);
             DAL_KERNEL_UNROLL
             for (size_t c = 0; c < m; c++)
                 if (DAL_KERNEL_HAS(o->has.Z, c * n + i))
                     at->S[a * m + c] += row * at->Z[c * n + i];
             if (DAL_KERNEL_HAS(o->has.Z, a * n + i))
-                at->sizes[a] += entry * fabs(at->Z[a * n + i]);
+                at->sizes[a] += entry * DAL_ABS(at->Z[a * n + i]);
         }
     }
-    return DAL_KERNEL_PART(eliminate)(m, DAL_KERNEL_ALL, at->S, at->sizes);
+    return DAL_ALSO(regular,
+                    DAL_KERNEL_PART(eliminate)(m, DAL_KERNEL_ALL, at->S, at->sizes));
 }
 
 /* ---- linearise: K and S at the prediction; as in kernel.h > 0 is for finish */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(linearise)(dal_kernel *k, const dal_traits *o,
-                                                 const dal_spans *of, const dal_arrays *at,
-                                                 const dal_balance *balance)
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(linearise)(dal_kernel_of *k, const dal_traits_of *o,
+                                                 const dal_spans_of *of, const dal_arrays_of *at,
+                                                 const dal_balance_of *balance, dal_flag *open)
 {
     const dal_stage *const s = o->stage;
     DAL_KERNEL_SIZES;
+    const dal_flag which = *open;
     int returned = 0;
+    (void)which;
     if (m > 0 && !of->nonlinear)
-        returned = DAL_KERNEL_FORMS(k, dal_kernel_time(k, o->number, s->t_node), at->node,
+        returned = DAL_FORMS(k, at, which, DAL_KERNEL_TIME(k, o->number, s->t_node), at->node,
                                     at->x + n, NULL, at->mu_node, NULL);
-    if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+    if (returned) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, returned);
     if (of->known) {
         if (DAL_KERNEL_MASS) DAL_KERNEL_COPY(m * n, at->mu_node, k->forms);
         DAL_KERNEL_COPY(m * n, at->mu_node, at->mu);
         DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < m * n; i++) at->N[i] = 0.0;
+        for (size_t i = 0; i < m * n; i++) at->N[i] = DAL_NUMBER(0.0);
     }
-    returned = DAL_KERNEL_PART(constrain)(k, o, of, at, balance->phi, at->N);
-    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+    returned = DAL_KERNEL_PART(constrain)(k, o, of, at, which, balance->phi, at->N);
+    if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, returned);
     if (returned > 0) return 1;
-    returned = DAL_KERNEL_BALANCE(k, o->t_end, of->still ? at->node : at->point, at->w,
+    returned = DAL_BALANCE(k, at, which, o->t_end, of->still ? at->node : at->point, at->w,
                                   balance->L_v, balance->F, balance->L_vq, balance->L_vv,
                                   balance->F_q, balance->F_v);
-    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_BALANCE, returned);
+    if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_BALANCE, returned);
     if (returned > 0) return 1;
-    if (!DAL_KERNEL_PART(form)(k, o, of, at, balance)) return 1;
-    return DAL_KERNEL_PART(look)(k, o, at);
+    *open = DAL_AND(which, DAL_KERNEL_PART(form)(k, o, of, at, balance));
+    return DAL_ANY(*open) ? DAL_KERNEL_PART(look)(k, o, at, open) : 1;
 }
 
 /* reaction <- mu_k^T kappa. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel *k, const dal_traits *o,
-                                              const dal_arrays *at, const dal_balance *balance)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel_of *k, const dal_traits_of *o,
+                                              const dal_arrays_of *at, const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
     (void)k;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
         balance->reaction[i] =
-            m > 0 ? dal_kernel_column(n, m, o->has.mu, at->mu_node, i, at->kappa) : 0.0;
+            m > 0 ? DAL_KERNEL_PART(column)(n, m, o->has.mu, at->mu_node, i, at->kappa)
+                  : DAL_NUMBER(0.0);
 }
 
 /* residual <- the residual of the balance of momenta. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel *k, const dal_spans *of,
-                                              const dal_arrays *at, const dal_balance *balance)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel_of *k, const dal_spans_of *of,
+                                              const dal_arrays_of *at, const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
     DAL_KERNEL_UNROLL
@@ -424,91 +443,93 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel *k, const dal_spa
 }
 
 /* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_rounding)(const dal_kernel *k, const dal_traits *o,
-                                                    const dal_arrays *at)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_rounding)(const dal_kernel_of *k, const dal_traits_of *o,
+                                                    const dal_arrays_of *at)
 {
     DAL_KERNEL_SIZES;
     (void)k;
-    bool roundoff = true;
+    dal_flag roundoff = DAL_FLAG(true);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        double terms = -0.0, moved = -0.0;
+        dal_real terms = DAL_NUMBER(-0.0), moved = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
-            double size = fabs(at->w[i]) + fabs(at->x[n + i]);
+            dal_real size = DAL_ABS(at->w[i]) + DAL_ABS(at->x[n + i]);
             DAL_KERNEL_UNROLL
             for (size_t c = 0; c < m; c++)
                 if (DAL_KERNEL_HAS(o->has.Z, c * n + i))
-                    size += fabs(at->Z[c * n + i] * at->kappa[c]);
-            if (DAL_KERNEL_HAS(o->has.mu, a * n + i)) terms += fabs(at->mu[a * n + i]) * size;
+                    size += DAL_ABS(at->Z[c * n + i] * at->kappa[c]);
+            if (DAL_KERNEL_HAS(o->has.mu, a * n + i)) terms += DAL_ABS(at->mu[a * n + i]) * size;
             if (DAL_KERNEL_HAS(o->has.N, a * n + i))
-                moved += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
+                moved += DAL_ABS(at->N[a * n + i]) * (DAL_ABS(at->point[i]) + DAL_ABS(at->stored[i]));
         }
-        const double bound = 2.0 * DAL_KERNEL_U * (2.0 * (double)n * terms + moved);
-        if (!(bound - fabs(at->r[a]) >= 0.0)) roundoff = false;
+        const dal_real bound = 2.0 * DAL_KERNEL_U * (2.0 * (double)n * terms + moved);
+        roundoff = DAL_ALSO(roundoff, bound - DAL_ABS(at->r[a]) >= 0.0);
     }
     return roundoff;
 }
 
 /* The terms of a row of p' that are not L_v. */
-DAL_KERNEL_INLINE double DAL_KERNEL_PART(pushes)(const dal_spans *of, const dal_balance *balance,
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(pushes)(const dal_spans_of *of, const dal_balance_of *balance,
                                                  size_t i)
 {
-    return fabs(balance->known[i]) + fabs(of->late * balance->F[i]) + fabs(balance->reaction[i]);
+    return DAL_ABS(balance->known[i]) + DAL_ABS(of->late * balance->F[i]) + DAL_ABS(balance->reaction[i]);
 }
 
 /* The ratio of the worst row of the residual to a rounding.  The rounding is that of its terms, of
  * velocities of coupled rows, by the terms of these rows, or of q~'.  At most 1 if every row is a
  * rounding; NaN if a row is NaN.  If all terms are below DBL_MIN, roundings are not proportional to
  * them. */
-DAL_KERNEL_INLINE double DAL_KERNEL_PART(imbalance)(const dal_kernel *k, const dal_traits *o,
-                                                    const dal_spans *of, const dal_arrays *at,
-                                                    const dal_balance *balance)
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(imbalance)(const dal_kernel_of *k, const dal_traits_of *o,
+                                                    const dal_spans_of *of, const dal_arrays_of *at,
+                                                    const dal_balance_of *balance, dal_flag which)
 {
     DAL_KERNEL_SIZES;
     (void)k;
-    double worst = 0.0;
+    dal_real worst = DAL_NUMBER(0.0);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        const double left = fabs(balance->residual[i]);
-        const double own = fabs(balance->known[i]) + fabs(balance->reaction[i])
-                         + fabs(balance->L_v[i]);
-        if (DAL_MOMENTUM_NOISE * own - left >= 0.0) continue; /* not if both are infinite */
-        double terms = DBL_MIN, moved = -0.0;
+        const dal_real left = DAL_ABS(balance->residual[i]);
+        const dal_real own = DAL_ABS(balance->known[i]) + DAL_ABS(balance->reaction[i])
+                         + DAL_ABS(balance->L_v[i]);
+        const dal_flag small = DAL_MOMENTUM_NOISE * own - left >= 0.0; /* not if infinite both */
+        if (!DAL_ANY(DAL_AND(which, DAL_NOT(small)))) continue;
+        dal_real terms = DAL_NUMBER(DBL_MIN), moved = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t j = 0; j < n; j++) {
             const size_t ij = i * n + j;
             if (DAL_KERNEL_HAS(o->has.K, ij)) {
-                const double push =
+                const dal_real push =
                     DAL_KERNEL_PART(pushes)(of, balance, j) * balance->factors[j * n + j];
-                terms += fabs(balance->K[ij]) * (fabs(at->w[j]) + push + DBL_MIN);
+                terms += DAL_ABS(balance->K[ij]) * (DAL_ABS(at->w[j]) + push + DBL_MIN);
             }
-            if (DAL_KERNEL_HAS(o->has.L_vq, ij)) moved += fabs(balance->L_vq[ij] * at->point[j]);
+            if (DAL_KERNEL_HAS(o->has.L_vq, ij)) moved += DAL_ABS(balance->L_vq[ij] * at->point[j]);
             if (DAL_KERNEL_HAS(o->has.F_q, ij))
-                moved += fabs(of->late * balance->F_q[ij] * at->point[j]);
+                moved += DAL_ABS(of->late * balance->F_q[ij] * at->point[j]);
         }
-        const double ratio = left / (DAL_MOMENTUM_NOISE * terms + DAL_MOMENTUM_GRID * moved);
-        if (!(ratio <= worst)) worst = ratio;
+        const dal_real ratio = left / (DAL_MOMENTUM_NOISE * terms + DAL_MOMENTUM_GRID * moved);
+        worst = DAL_SELECT(DAL_OR(small, ratio <= worst), worst, ratio);
     }
     return worst;
 }
 
 /* step, d <- a correction of w and kappa. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(correct)(dal_kernel *k, const dal_traits *o,
-                                                  const dal_spans *of, const dal_arrays *at,
-                                                  const dal_balance *balance)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(correct_balance)(dal_kernel_of *k, const dal_traits_of *o,
+                                                  const dal_spans_of *of, const dal_arrays_of *at,
+                                                  const dal_balance_of *balance, dal_flag open)
 {
     DAL_KERNEL_SIZES;
-    double *const y = at->step;
+    dal_real *const y = at->step;
+    (void)open;
     DAL_KERNEL_COPY(n, balance->residual, y);
     DAL_KERNEL_PART(solve)(n, o->has.K, balance->factors, y);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        double turn = -0.0;
+        dal_real turn = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
             if (DAL_KERNEL_HAS(o->has.N, a * n + i)) turn += at->N[a * n + i] * y[i];
-        at->r[a] -= dal_kernel_dot(n, o->has.mu, at->mu, a, y) + of->b * turn;
+        at->r[a] -= DAL_KERNEL_PART(dot)(n, o->has.mu, at->mu, a, y) + of->b * turn;
     }
     if (m > 0) {
         DAL_KERNEL_COPY(m, at->r, at->d);
@@ -516,182 +537,240 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(correct)(dal_kernel *k, const dal_traits 
     }
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
-        if (m > 0) y[i] += dal_kernel_column(n, m, o->has.Z, at->Z, i, at->d);
-    k->stats.iterations++;
+        if (m > 0) y[i] += DAL_KERNEL_PART(column)(n, m, o->has.Z, at->Z, i, at->d);
+    DAL_COUNT_ITERATION(k, at, open);
 }
 
-/* ---- close: the balance, by Newton with K and S frozen; *settled: D too */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
-                                             const dal_spans *of, const dal_arrays *at,
-                                             const dal_balance *balance, bool *settled)
+/* The corrections of a stage: progress.settled tells the lanes that are solved and in D too. */
+
+/* A correction of the open lanes, and the evaluations after it; returns as correct of stage.h. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(improve)(dal_kernel_of *k, const dal_traits_of *o,
+                                               const dal_spans_of *of, const dal_arrays_of *at,
+                                               const dal_balance_of *balance,
+                                               dal_progress_of *progress, dal_real *far, bool all)
 {
     DAL_KERNEL_SIZES;
-    double last = HUGE_VAL, far = HUGE_VAL;
+    const dal_flag which = progress->open;
+    (void)all, (void)which;
+    DAL_KERNEL_PART(correct_balance)(k, o, of, at, balance, which);
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++)
+        at->w[i] = DAL_TAKE(all, which, at->w[i] + at->step[i], at->w[i]);
+    DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++)
+        at->kappa[a] = DAL_TAKE(all, which, at->kappa[a] + at->d[a], at->kappa[a]);
+    DAL_KERNEL_PART(place)(k, o->stage, n, o->kept, false, at);
+    int returned = DAL_KERNEL_PART(constrain)(k, o, of, at, which, balance->phi, NULL);
+    if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, returned);
+    if (returned > 0) return 1;
+    returned = DAL_VALUES(k, at, which, o->t_end, of->still ? at->node : at->point, at->w,
+                          balance->L_v, balance->F, of->late_pushed);
+    if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_BALANCE, returned);
+    if (returned > 0) return 1;
+    DAL_KERNEL_PART(react)(k, o, at, balance);
+    DAL_KERNEL_PART(weigh)(k, of, at, balance);
+    const dal_flag settled = DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance, which);
+    const dal_real imbalance = DAL_KERNEL_PART(imbalance)(k, o, of, at, balance, which);
+    const dal_flag stalls = DAL_NOT(imbalance <= 0.5 * progress->last);
+    progress->last = imbalance;
+    const dal_real distance = of->linear ? DAL_NUMBER(0.0) : DAL_KERNEL_PART(distance)(m, at);
+    const dal_flag stays = distance > 0.5 * *far;
+    *far = distance;
+    const dal_flag balanced = DAL_AND(
+        which, imbalance <= DAL_SELECT(stalls, DAL_NUMBER(DAL_MOMENTUM_FLOOR), DAL_NUMBER(1.0)));
+    dal_flag done = DAL_AND(balanced, settled);
+    if (DAL_ANY(DAL_AND(balanced, DAL_NOT(done))))
+        done = DAL_OR(done, DAL_AND(balanced, DAL_KERNEL_PART(is_rounding)(k, o, at)));
+    dal_flag moved = DAL_AND(DAL_AND(balanced, stays), DAL_NOT(done));
+    if (DAL_ANY(moved)) {
+        moved = DAL_KERNEL_PART(is_moved)(k, o, of, at, moved, &progress->open);
+        done = DAL_OR(done, moved);
+    }
+    progress->settled = DAL_OR(progress->settled, DAL_AND(done, settled));
+    progress->solved = DAL_OR(progress->solved, done);
+    progress->open = DAL_AND(DAL_AND(progress->open, DAL_NOT(done)),
+                             DAL_OR(DAL_NOT(stalls), imbalance <= 1.0));
+    return DAL_ANY(progress->open) ? DAL_KERNEL_AGAIN : DAL_SUCCESS;
+}
+
+/* ---- close: the balance, by Newton with K and S frozen */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel_of *k, const dal_traits_of *o,
+                                             const dal_spans_of *of, const dal_arrays_of *at,
+                                             const dal_balance_of *balance,
+                                             dal_progress_of *progress)
+{
+    dal_real far = DAL_NUMBER(HUGE_VAL);
+    int status = DAL_KERNEL_AGAIN;
+    progress->last = DAL_NUMBER(HUGE_VAL);
     DAL_KERNEL_PART(weigh)(k, of, at, balance);
     DAL_KERNEL_PART(miss)(k, o, of, at, balance->phi);
-    for (int correction = 1; correction <= DAL_KERNEL_CORRECTIONS; correction++) {
-        DAL_KERNEL_PART(correct)(k, o, of, at, balance);
-        DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < n; i++) at->w[i] += at->step[i];
-        DAL_KERNEL_UNROLL
-        for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
-        dal_kernel_place(k, o->stage, n, o->kept, false, at);
-        int returned = DAL_KERNEL_PART(constrain)(k, o, of, at, balance->phi, NULL);
-        if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-        if (returned > 0) return 1;
-        returned = DAL_KERNEL_VALUES(k, o->t_end, of->still ? at->node : at->point, at->w,
-                                     balance->L_v, balance->F, of->late != 0.0);
-        if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_BALANCE, returned);
-        if (returned > 0) return 1;
-        DAL_KERNEL_PART(react)(k, o, at, balance);
-        DAL_KERNEL_PART(weigh)(k, of, at, balance);
-        *settled = DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance);
-        const double imbalance = DAL_KERNEL_PART(imbalance)(k, o, of, at, balance);
-        const bool stalls = !(imbalance <= 0.5 * last);
-        last = imbalance;
-        const double distance = of->linear ? 0.0 : DAL_KERNEL_PART(distance)(m, at);
-        const bool stays = distance > 0.5 * far;
-        far = distance;
-        if (imbalance <= (stalls ? DAL_MOMENTUM_FLOOR : 1.0)
-            && (*settled || DAL_KERNEL_PART(is_rounding)(k, o, at)
-                || (stays && DAL_KERNEL_PART(is_moved)(k, o, of, at))))
-            return 0;
-        if (stalls && !(imbalance <= 1.0)) return 1;
-    }
-    return 1;
+    for (int i = 1; i <= DAL_KERNEL_CORRECTIONS && status == DAL_KERNEL_AGAIN; i++)
+        status = DAL_KERNEL_PART(improve)(k, o, of, at, balance, progress, &far,
+                                          !DAL_KERNEL_LANES);
+    return status < 0 ? status : DAL_ANY(progress->solved) ? DAL_SUCCESS : 1;
 }
 
-/* ---- correction of the velocity to D at the stored q~', with the corresponding reaction.  S is
- * for a variable q~', so each pass leaves a part B h N of the residual. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(mend)(dal_kernel *k, const dal_traits *o,
-                                             const dal_spans *of, const dal_arrays *at,
-                                             const dal_balance *balance)
+/* ---- correction of the velocity to D at the stored q~', with the corresponding reaction, in lanes
+ * that are solved but not settled.  S is for a variable q~', so each pass leaves a part B h N of
+ * the residual.  Returns the lanes that it settles; rest <- those that another pass may. */
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(mend)(dal_kernel_of *k, const dal_traits_of *o,
+                                                 const dal_spans_of *of, const dal_arrays_of *at,
+                                                 const dal_balance_of *balance, dal_flag *rest)
 {
     DAL_KERNEL_SIZES;
-    if (m == 0) return true;
+    const dal_flag which = *rest;
+    (void)which;
+    if (m == 0) return DAL_FLAG(true);
     DAL_KERNEL_COPY(m, at->r, at->d);
     DAL_KERNEL_PART(solve)(m, DAL_KERNEL_ALL, at->S, at->d);
     DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++) at->d[a] = DAL_TAKE(false, which, at->d[a], DAL_NUMBER(0.0));
+    DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
-        if (m > 0) at->w[i] += dal_kernel_column(n, m, o->has.Z, at->Z, i, at->d);
+        at->w[i] = DAL_TAKE(
+            false, which,
+            at->w[i] + DAL_KERNEL_PART(column)(n, m, o->has.Z, at->Z, i, at->d), at->w[i]);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
-    if (!of->linear && DAL_KERNEL_FORMS(k, o->t_end, at->point, at->w, balance->phi, at->mu, NULL))
-        return false;
+    if (!of->linear
+        && DAL_FORMS(k, at, which, o->t_end, at->point, at->w, balance->phi, at->mu, NULL))
+        return DAL_FLAG(false);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
-        balance->L_v[i] += balance->share[i]
-                         * dal_kernel_column(n, m, o->has.mu, at->mu_node, i, at->d);
-    return DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance)
-        || DAL_KERNEL_PART(is_moved)(k, o, of, at);
+        balance->L_v[i] = DAL_TAKE(
+            false, which,
+            balance->L_v[i] + balance->share[i] * DAL_KERNEL_PART(column)(n, m, o->has.mu,
+                                                                         at->mu_node, i, at->d),
+            balance->L_v[i]);
+    const dal_flag settled = DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance, which);
+    *rest = DAL_AND(which, DAL_NOT(settled));
+    if (!DAL_ANY(*rest)) return settled;
+    const dal_flag moved = DAL_KERNEL_PART(is_moved)(k, o, of, at, *rest, rest);
+    *rest = DAL_AND(*rest, DAL_NOT(moved));
+    return DAL_OR(settled, moved);
 }
 
-/* ---- carry: the data of a completed balance for the next stage */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel *k, const dal_spans *of,
-                                              const dal_arrays *at, const dal_balance *balance)
+/* ---- carry: the data of a completed balance for the next stage; none of it if finish did it */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel_of *k, const dal_arrays_of *at,
+                                              const dal_balance_of *balance, dal_flag made,
+                                              bool all)
 {
     DAL_KERNEL_SIZES;
+    (void)made, (void)all;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        const double next = balance->L_v[i] + balance->residual[i];
-        at->low[n + i] = balance->share[i] * (k->momentum[i] - next + at->move[n + i]);
-        k->momentum[i] = balance->L_v[i] + balance->share[i] * balance->residual[i];
-        k->force0[i] = -balance->F[i];
+        dal_real *const p = &k->momentum[i], *const low = &at->low[n + i];
+        const dal_real next = balance->L_v[i] + balance->residual[i];
+        *low = DAL_TAKE(all, made, balance->share[i] * (*p - next + at->move[n + i]), *low);
+        *p = DAL_TAKE(all, made, balance->L_v[i] + balance->share[i] * balance->residual[i], *p);
+        k->force0[i] = DAL_TAKE(all, made, -balance->F[i], k->force0[i]);
     }
-    k->carried = true;
-    k->forced = of->late != 0.0;
 }
 
-/* ---- conclude: as commit of kernel.h */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel *k, const dal_traits *o,
-                                                 const dal_arrays *at)
+/* ---- conclude: as commit of stage.h */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel_of *k, const dal_traits_of *o,
+                                                 const dal_arrays_of *at, dal_flag done, bool all)
 {
     DAL_KERNEL_SIZES;
-    double *const x = at->x, *const past = k->history + 4 * n * o->stage->kind;
-    unsigned char *const count = &k->known[o->stage->kind];
+    dal_real *const x = at->x, *const past = k->history + 4 * n * o->stage->kind;
+    (void)done, (void)all;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        past[3 * n + i] = past[2 * n + i];
-        past[2 * n + i] = past[n + i];
-        past[n + i] = past[i];
-        past[i] = at->w[i] - x[n + i];
-        at->low[i] = x[i] - at->stored[i] + at->move[i];
-        if (!k->carried) at->low[n + i] = 0.0;
-        x[i] = at->stored[i];
-        x[n + i] = at->w[i];
+        past[3 * n + i] = DAL_TAKE(all, done, past[2 * n + i], past[3 * n + i]);
+        past[2 * n + i] = DAL_TAKE(all, done, past[n + i], past[2 * n + i]);
+        past[n + i] = DAL_TAKE(all, done, past[i], past[n + i]);
+        past[i] = DAL_TAKE(all, done, at->w[i] - x[n + i], past[i]);
+        at->low[i] = DAL_TAKE(all, done, x[i] - at->stored[i] + at->move[i], at->low[i]);
+        x[i] = DAL_TAKE(all, done, at->stored[i], x[i]);
+        x[n + i] = DAL_TAKE(all, done, at->w[i], x[n + i]);
     }
-    *count = (unsigned char)(*count + (*count < 4));
+    DAL_KNOW_ONE_MORE(k, o->stage->kind, done);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        k->impulse[a] += at->kappa[a];
-        k->latest[a] = at->kappa[a];
+        k->impulse[a] = DAL_TAKE(all, done, k->impulse[a] + at->kappa[a], k->impulse[a]);
+        k->latest[a] = DAL_TAKE(all, done, at->kappa[a], k->latest[a]);
     }
-    k->latest_span = o->stage->span;
+    k->latest_span = DAL_TAKE(all, done, DAL_NUMBER(o->stage->span), k->latest_span);
+    DAL_KERNEL_PART(pass_on)(k, at, n, false, all, done, NULL);
 }
 
 /* A stage of step number, counted from 0.  The argument explicit, a constant after inlining, may be
  * true if B = 0: mu(q~') is then that of the node. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const double number,
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel_of *const k, const dal_real number,
                                                 const dal_stage *const s, const bool explicit,
-                                                double *const x, double *const low)
+                                                dal_real *const x, dal_real *const low)
 {
     DAL_KERNEL_SIZES;
+    (void)x, (void)low;
 #ifdef DAL_N
-    double node[DAL_N], point[DAL_N], w[DAL_N], goal[DAL_N], step[DAL_N], stored[DAL_N];
-    double mu_node[DAL_KERNEL_M * DAL_N], mu[DAL_KERNEL_M * DAL_N], N[DAL_KERNEL_M * DAL_N];
-    double Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
-    double r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
-    size_t row[DAL_KERNEL_M];
-    double from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N];
-    double known[DAL_N], reaction[DAL_N], residual[DAL_N], share[DAL_N];
-    double phi[DAL_KERNEL_M], L_v[DAL_N], F[DAL_N], unit[DAL_N], per_unit[DAL_N];
-    double L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
-    double K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
-    const dal_arrays at = {x, NULL, low, node, point, w, mu_node, mu, N, known, goal, step, NULL,
-                           stored, from, lead, push, move, Z, S, sizes, r, d, kappa, row, NULL,
-                           NULL, NULL, 0, NULL, false};
-    const dal_balance balance = {known, reaction, residual, share, phi, L_v, F, unit, per_unit,
-                                 L_vq, L_vv, F_q, F_v, K, factors};
+    dal_real node[DAL_N], point[DAL_N], w[DAL_N], goal[DAL_N], step[DAL_N], stored[DAL_N];
+    dal_real mu_node[DAL_KERNEL_M * DAL_N], mu[DAL_KERNEL_M * DAL_N], N[DAL_KERNEL_M * DAL_N];
+    dal_real Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
+    dal_real r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
+    DAL_EXCHANGES(row);
+    DAL_TALLY(tally);
+    dal_real from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N];
+    dal_real known[DAL_N], reaction[DAL_N], residual[DAL_N], share[DAL_N];
+    dal_real phi[DAL_KERNEL_M], L_v[DAL_N], F[DAL_N], unit[DAL_N], per_unit[DAL_N];
+    dal_real L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
+    dal_real K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
+    const dal_arrays_of at = {x, NULL, low, node, point, w, mu_node, mu, N, known, goal, step, NULL,
+                              stored, from, lead, push, move, Z, S, sizes, r, d, kappa, row, NULL,
+                              NULL, NULL, 0, NULL, false, tally};
+    const dal_balance_of balance = {known, reaction, residual, share, phi, L_v, F, unit, per_unit,
+                                    L_vq, L_vv, F_q, F_v, K, factors};
 #else
-    (void)low;
-    const dal_arrays at = k->at;
-    const dal_balance balance = k->balance;
+    const dal_arrays_of at = k->at;
+    const dal_balance_of balance = k->balance;
 #endif
     const dal_constraint_kind kind = DAL_KERNEL_KIND(k);
     const bool linear = kind == DAL_LINEAR, kept = !DAL_KERNEL_INSIDE && k->kept;
-    const dal_spans of = {.b = s->after * k->h, .early = k->h * s->start, .late = k->h * s->end,
-                          .constant = DAL_KERNEL_INSIDE ? DAL_KERNEL_MASS : k->mass != NULL,
-                          .linear = linear, .nonlinear = kind == DAL_NONLINEAR,
-                          .still = explicit && !kept,
-                          .known = explicit && linear && !kept};
+    const dal_spans_of of = {.b = s->after * k->h, .early = k->h * s->start,
+                             .late = k->h * s->end, .pushed = s->start != 0.0,
+                             .late_pushed = s->end != 0.0,
+                             .constant = DAL_KERNEL_INSIDE ? DAL_KERNEL_MASS : k->mass != NULL,
+                             .linear = linear, .nonlinear = kind == DAL_NONLINEAR,
+                             .still = explicit && !kept, .known = explicit && linear && !kept};
     const dal_pattern has = DAL_KERNEL_PATTERN;
-    const dal_traits o = {.stage = s, .number = number, .has = has, .kept = kept,
-                          .t_end = dal_kernel_time(k, number, s->t_end)};
+    const dal_traits_of o = {.stage = s, .number = number, .has = has, .kept = kept,
+                             .t_end = DAL_KERNEL_TIME(k, number, s->t_end)};
 
-    bool settled = false;
-    int status = DAL_KERNEL_PART(begin)(k, &o, &of, &at, &balance);
+    dal_progress_of progress = {.open = DAL_GOING(k), .solved = DAL_FLAG(false),
+                                .settled = DAL_FLAG(false)};
+    int status = DAL_KERNEL_PART(begin)(k, &o, &of, &at, &balance, progress.open);
     if (status) return status;
     DAL_KERNEL_PART(extrapolate)(k, &o, &at);
-    dal_kernel_place(k, s, n, kept, false, &at);
+    DAL_KERNEL_PART(place)(k, s, n, kept, false, &at);
     DAL_KERNEL_UNROLL
-    for (size_t a = 0; a < m; a++) at.kappa[a] = 0.0;
+    for (size_t a = 0; a < m; a++) at.kappa[a] = DAL_NUMBER(0.0);
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) balance.reaction[i] = 0.0;
-    status = DAL_KERNEL_PART(linearise)(k, &o, &of, &at, &balance);
-    if (status == 0) status = DAL_KERNEL_PART(close)(k, &o, &of, &at, &balance, &settled);
+    for (size_t i = 0; i < n; i++) balance.reaction[i] = DAL_NUMBER(0.0);
+    status = DAL_KERNEL_PART(linearise)(k, &o, &of, &at, &balance, &progress.open);
+    if (status == 0) status = DAL_KERNEL_PART(close)(k, &o, &of, &at, &balance, &progress);
     if (status < 0) return status;
-    bool solved = status == 0;
-    if (DAL_KERNEL_RARE(solved && !settled && !kept))
-        for (int pass = 0; !settled && pass < DAL_MOMENTUM_PASSES; pass++)
-            settled = DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance);
-    if (solved && settled && DAL_KERNEL_PART(is_finite)(n, &at)) {
-        DAL_KERNEL_PART(carry)(k, &of, &at, &balance);
-    } else {
-        status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &solved);
+    dal_flag rest = DAL_AND(progress.solved, DAL_NOT(progress.settled));
+    const int passes = status == 0 && !kept ? DAL_MOMENTUM_PASSES : 0;
+    for (int pass = 0; pass < passes && DAL_KERNEL_RARE(DAL_ANY(rest)); pass++)
+        progress.settled = DAL_OR(progress.settled,
+                                  DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance, &rest));
+    const dal_flag made = DAL_AND(DAL_AND(progress.solved, progress.settled),
+                                  DAL_KERNEL_PART(is_finite)(n, &at));
+    dal_flag done = made;
+    if (DAL_KERNEL_RARE(!DAL_EVERY(made))) {
+        status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &progress.solved, &done);
         if (status) return status;
-        k->carried = k->forced = false;
+        DAL_KERNEL_UNROLL
+        for (size_t i = n; i < 2 * n; i++) /* where finish did it, there is no p */
+            at.low[i] = DAL_TAKE(false, DAL_AND(done, DAL_NOT(made)), DAL_NUMBER(0.0), at.low[i]);
+        if (DAL_ANY(made)) DAL_KERNEL_PART(carry)(k, &at, &balance, made, false);
+    } else {
+        DAL_KERNEL_PART(carry)(k, &at, &balance, made, true);
     }
-    DAL_KERNEL_PART(conclude)(k, &o, &at);
+    const dal_flag before = DAL_NOT(done);
+    k->carried = DAL_OR(made, DAL_AND(before, k->carried));
+    k->forced = DAL_OR(of.late_pushed ? made : DAL_FLAG(false), DAL_AND(before, k->forced));
+    if (DAL_EVERY(done)) DAL_KERNEL_PART(conclude)(k, &o, &at, done, true);
+    else DAL_KERNEL_PART(conclude)(k, &o, &at, done, false);
     k->formed = DAL_KERNEL_MASS && of.known;
     return DAL_SUCCESS;
 }

@@ -66,8 +66,8 @@ FLAGS = (*COMMON, *_for_processor())
 _LIBMVEC = (("v_sin", "v_cos", "v_exp", "v_log", "vv_pow"), ("v_tan", "v_erf", "vv_atan2"))
 
 HEADERS = (
-    "dalembert.h", "field.h", "kernel.h", "lanes.h", "lu.h", "momentum.h", "residual.h", "rows.h",
-    "stepper.h",
+    "arrays.h", "dalembert.h", "field.h", "kernel.h", "lanes.h", "lu.h", "momentum.h", "residual.h",
+    "rows.h", "stage.h", "stepper.h",
 )  # fmt: skip
 
 # Seconds after which a compiler is taken to hang; a large model takes some.

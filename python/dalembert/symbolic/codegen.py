@@ -493,8 +493,8 @@ _EARLY = ("sin", "cos", "exp", "log", "pow")
 
 
 def has_lanes(model: Model) -> bool:
-    """Return whether several members can be stepped at once: without momenta and inputs."""
-    return model.n <= MOST and not model.derived.has_momenta and not model.inputs
+    """Return whether several members can be stepped at once."""
+    return model.n <= MOST
 
 
 def _lanes(made: Program, model: Model) -> None:
@@ -512,12 +512,23 @@ def _lanes(made: Program, model: Model) -> None:
         macros["LANES_PATTERN"] = zeros.initializer()
         macros["LANES_STEADY"] = int(zeros.steady) + int(zeros.apart)
         if model.m > 0:
-            macros["LANES_CONSTRAINT(t, q, v, mu, N, p)"] = (
-                "(void)DAL_LANES(model_constraint)(t, q, v, NULL, mu, N, NULL, p)"
+            u = "u, " if model.is_driven else ""
+            macros["LANES_CONSTRAINT(t, q, v, phi, mu, N, u, p)"] = (
+                f"(void)DAL_LANES(model_constraint)(t, q, v, {u}phi, mu, N, NULL, p)"
             )
-        if pull := _pull(model):
-            arguments = "t, q, NULL, V_q" if pull == "pull" else "t, q, NULL, V_q, NULL"
-            macros["LANES_PULL(t, q, V_q, p)"] = f"(void)DAL_LANES(model_{pull})({arguments}, p)"
+        force = _force(model)
+        if force == "balance":
+            macros |= {
+                "LANES_MASS": int(derived.mass is not None and derived.kind == "linear"),
+                "LANES_KIND": f"DAL_{derived.kind.upper()}",
+                "LANES_BALANCE(t, q, v, L_v, F, L_vq, L_vv, F_q, F_v, u, p)":
+                    "(void)DAL_LANES(model_balance)(t, q, v, u, L_v, F, L_vq, L_vv, F_q, F_v, p)",
+            }  # fmt: skip
+        elif force:
+            arguments = "t, q, u, V_q" if force == "pull" else "t, q, NULL, V_q, NULL"
+            macros["LANES_PULL(t, q, V_q, u, p)"] = (
+                f"(void)DAL_LANES(model_{force})({arguments}, p)"
+            )
         for name, text in macros.items():
             made.add(f"#define DAL_{name} {text}")
         made.add("#include <dalembert/lanes.h>")
@@ -526,13 +537,15 @@ def _lanes(made: Program, model: Model) -> None:
     made.add("#endif\n\nstatic const dal_lanes_routine model_lanes[] = {")
     made.add("#ifdef __GNUC__")
     for vector, target in _SETS.items():
-        entry = f"    {{{vector}, {len(model.p)}, advance_{vector}}},"
+        entry = f"    {{{vector}, {len(model.p)}, {len(model.inputs)}, advance_{vector}}},"
         made.add(f"#ifdef __x86_64__\n{entry}\n#endif" if target else entry)
-    made.add("#endif\n    {0, 0, NULL}};\n")
+    made.add("#endif\n    {0, 0, 0, NULL}};\n")
 
 
-def _pull(model: Model) -> str | None:
-    """Return the function with V_q for steps without momenta, if there is one."""
+def _force(model: Model) -> str | None:
+    """Return the function with the forces of the steps, if there is one."""
+    if model.derived.has_momenta:
+        return "balance"
     if model.derived.is_positional:
         return "pull"
     return "potential" if model.derived.function("potential") is not None else None
@@ -543,7 +556,7 @@ def _vector_callbacks(made: Program, model: Model) -> None:
     powers: set[int] = set()
     body, print_c = Program(), VectorPrinter(powers)
     for function in model.derived.functions:
-        if function.name in ("constraint", _pull(model)):
+        if function.name in ("constraint", _force(model)):
             _function(body, model, function, True, print_c)
     for name in sorted(print_c.called):
         ending = f"_OF_TWO({name})" if name in ("pow", "atan2") else f"({name})"

@@ -130,13 +130,13 @@ DAL_KERNEL_INLINE void DAL_LANES(forms)(dal_vec t, const dal_vec *q, const dal_v
 #define DAL_M 2
 #define DAL_LANES_PATTERN EDGE_PATTERN
 #define DAL_LANES_STEADY 0
-#define DAL_LANES_CONSTRAINT(t, q, v, mu, N, p) DAL_LANES(forms)(t, q, v, mu, N, p)
-#define DAL_LANES_PULL(t, q, V_q, p) DAL_LANES(pull)(t, q, V_q, p)
+#define DAL_LANES_CONSTRAINT(t, q, v, phi, mu, N, u, p) DAL_LANES(forms)(t, q, v, mu, N, p)
+#define DAL_LANES_PULL(t, q, V_q, u, p) DAL_LANES(pull)(t, q, V_q, p)
 #include "dalembert/lanes.h"
 
-static const dal_lanes_routine routines[] = {{2, 4, advance_edge}, {0, 0, NULL}};
+static const dal_lanes_routine routines[] = {{2, 4, 0, advance_edge}, {0, 0, 0, NULL}};
 #else
-static const dal_lanes_routine routines[] = {{0, 0, NULL}};
+static const dal_lanes_routine routines[] = {{0, 0, 0, NULL}};
 #endif
 
 static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), edge_step, 0, 0,

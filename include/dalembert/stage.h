@@ -1,0 +1,707 @@
+/* stage.h - a stage of kernel.h for constant mass and linear constraints, and the linear algebra of
+ * all stages.  Only kernel.h includes it, once for each compilation.
+ *
+ * A number is a dal_real, a decision a dal_flag: double and bool, or a vector of numbers and of
+ * decisions with a component for each lane (see lanes.h).  In lanes all execute what one of them
+ * needs, and the others discard the result; a lane that has converged is frozen.  The argument all,
+ * a constant after inlining, says that no lane is. */
+
+/* Row a of A[..*n], whose pattern is mask, times x[n].  Sums begin with their first term, or with
+ * -0.  The compiler can omit x + -0 = x, whereas 0 + x costs an addition on the critical path. */
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(dot)(size_t n, unsigned long long mask,
+                                                const dal_real *A, size_t a, const dal_real *x)
+{
+    dal_real sum = DAL_KERNEL_HAS(mask, a * n) ? A[a * n] * x[0] : DAL_NUMBER(-0.0);
+    for (size_t i = 1; i < n; i++)
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += A[a * n + i] * x[i];
+    return sum;
+}
+
+/* Component i of Z^T c, for m > 0. */
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(column)(size_t n, size_t m, unsigned long long mask,
+                                                   const dal_real *Z, size_t i, const dal_real *c)
+{
+    dal_real sum = DAL_KERNEL_HAS(mask, i) ? Z[i] * c[0] : DAL_NUMBER(-0.0);
+    for (size_t a = 1; a < m; a++)
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += Z[a * n + i] * c[a];
+    return sum;
+}
+
+/* y <- M^-1 f. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(accelerate)(const dal_kernel_of *k,
+                                                   const dal_arrays_of *at, size_t n,
+                                                   unsigned long long mask, const dal_real *f,
+                                                   dal_real *y)
+{
+    const dal_real *const inverse = at->mass_inverse;
+    if (mask == DAL_KERNEL_ALL && k->diagonal) {
+        for (size_t i = 0; i < n; i++) y[i] = inverse[i * at->next] * f[i];
+        return;
+    }
+    for (size_t i = 0; i < n; i++) y[i] = DAL_KERNEL_PART(dot)(n, mask, inverse, i, f);
+}
+
+/* |v| of residual.h, and the sum of the |v_i| / d_i. */
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(speed)(size_t n, const dal_real *per_unit,
+                                                  const dal_real *v)
+{
+    dal_real most = DAL_NUMBER(0.0);
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) {
+        const dal_real speed = DAL_ABS(v[i]) * per_unit[i];
+        most = DAL_SELECT(speed > most, speed, most);
+    }
+    return most;
+}
+
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(extent)(size_t n, const dal_real *per_unit,
+                                                   const dal_real *v)
+{
+    dal_real sum = DAL_NUMBER(-0.0);
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++)
+        sum += DAL_ABS(v[i]) * per_unit[i];
+    return sum;
+}
+
+/* |mu^a| of residual.h for row a of mu[m*n]. */
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(row_norm)(const dal_arrays_of *at, size_t n,
+                                                     unsigned long long mask, const dal_real *mu,
+                                                     size_t a)
+{
+    if (at->rows) return DAL_ROWS_EXTENT(at->rows, mu, a, at->unit);
+    dal_real sum = DAL_NUMBER(-0.0);
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++)
+        if (DAL_KERNEL_HAS(mask, a * n + i))
+            sum += DAL_ABS(mu[a * n + i]) * at->unit[i];
+    return sum;
+}
+
+/* Row a of mu[m*n], or of a similar matrix, times x[n]; component i of Z^T c. */
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(product)(const dal_arrays_of *at, size_t n,
+                                                    unsigned long long mask, const dal_real *mu,
+                                                    size_t a, const dal_real *x)
+{
+    return at->rows ? DAL_ROWS_DOT(at->rows, mu, a, x) : DAL_KERNEL_PART(dot)(n, mask, mu, a, x);
+}
+
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(reaction)(const dal_arrays_of *at, size_t n, size_t m,
+                                                     unsigned long long mask, size_t i,
+                                                     const dal_real *c)
+{
+    return at->rows ? DAL_ROWS_COLUMN(at->rows, at->Z, i, c)
+                    : DAL_KERNEL_PART(column)(n, m, mask, at->Z, i, c);
+}
+
+/* The largest number of terms in a sum of mu w, which is n in the bound of the residual. */
+DAL_KERNEL_INLINE size_t DAL_KERNEL_PART(terms)(const dal_arrays_of *at, size_t n)
+{
+    return at->rows ? at->rows->terms : n;
+}
+
+/* Z <- M^-1 mu_node. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(direct)(const dal_kernel_of *k, const dal_arrays_of *at,
+                                               size_t n, size_t m, unsigned long long mask)
+{
+    if (at->rows)
+        for (size_t e = 0; e < dal_rows_entries(at->rows); e++)
+            at->Z[e] = at->mass_inverse[at->rows->column[e]] * at->mu_node[e];
+    else
+        for (size_t a = 0; a < m; a++)
+            DAL_KERNEL_PART(accelerate)(k, at, n, mask, at->mu_node + a * n, at->Z + a * n);
+}
+
+/* S <- (mu + b N) Z^T, factored; returns whether S is regular and det S > 0.  The sizes of its rows
+ * are the norms of mu and b N in the metric, the sizes of its columns the norms of mu_node.  If
+ * there is one entry, its size is the sum of its terms. */
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(factor_S)(const dal_arrays_of *at, size_t n, size_t m,
+                                                     dal_pattern has, dal_real b)
+{
+    dal_real terms = DAL_NUMBER(-0.0);
+    for (size_t a = 0; a < m; a++) {
+        dal_real size = DAL_NUMBER(-0.0);
+        for (size_t c = 0; c < m; c++) at->S[a * m + c] = DAL_NUMBER(-0.0);
+        for (size_t i = 0; i < n; i++) {
+            const bool turns = DAL_KERNEL_HAS(has.N, a * n + i);
+            if (!turns && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
+            const dal_real mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
+            const dal_real entry = turns ? DAL_ABS(mu) + DAL_ABS(row) : DAL_ABS(mu);
+            if (m > 1) size += entry * at->unit[i];
+            for (size_t c = 0; c < m; c++) {
+                if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
+                const dal_real term = row * at->Z[c * n + i];
+                at->S[a * m + c] += term;
+                terms += turns ? entry * DAL_ABS(at->Z[c * n + i]) : DAL_ABS(term);
+            }
+        }
+        at->sizes[a] = m > 1 ? size : terms;
+        at->sizes[m + a] = m > 1 ? DAL_KERNEL_PART(row_norm)(at, n, has.mu, at->mu_node, a)
+                                 : DAL_NUMBER(1.0);
+    }
+    return DAL_FACTOR_LU(m, at->S, at->sizes, at->row);
+}
+
+/* d <- S^-1 r. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve_S)(const dal_kernel_of *k, const dal_arrays_of *at,
+                                                size_t m)
+{
+    (void)m;
+    if (at->rows) k->solve(k);
+    else DAL_SOLVE_LU(m, at->S, at->row, at->r, at->d);
+}
+
+/* V_q at q, and at the velocity v for a force that depends on it, in these lanes. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(pull)(dal_kernel_of *k, const dal_arrays_of *at,
+                                            dal_flag which, dal_real t, const dal_real *q,
+                                            const dal_real *v, dal_real *V_q)
+{
+    (void)which, (void)t, (void)q, (void)v, (void)V_q;
+    return at->dragged ? DAL_DRAG(k, t, q, v, V_q)
+                       : DAL_POTENTIAL(k, at, which, t, q, V_q);
+}
+
+/* base, push += the contribution of V at q_k, or at q~. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel_of *k, const dal_traits_of *o,
+                                            const dal_arrays_of *at, dal_real *force1,
+                                            dal_flag going)
+{
+    const dal_stage *const s = o->stage;
+    DAL_KERNEL_SIZES;
+    const dal_real *const x = at->x, h = k->h;
+    const bool at_node = o->plain || s->node != 0.0;
+    dal_real *const force = !at_node ? k->force0
+                          : o->plain && DAL_KERNEL_INSIDE ? at->seen : force1;
+    if (o->plain && DAL_KERNEL_INSIDE)
+        for (size_t i = 0; i < n; i++) force[i] = DAL_NUMBER(0.0); /* or some compilers warn */
+    const dal_flag unknown = at_node ? going : DAL_AND(going, DAL_NOT(k->forced));
+    if (DAL_ANY(unknown)) {
+        const double shift = o->kept ? k->shift : 0.0;
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
+            at->point[i] = at_node ? at->node[i] : o->kept ? x[i] - shift * h * x[n + i] : x[i];
+        const dal_real t = DAL_KERNEL_TIME(k, o->number, at_node ? s->t_node : s->t_start);
+        DAL_FRESH(fresh, DAL_N, force);
+        const int returned = DAL_KERNEL_PART(pull)(k, at, unknown, t, at->point, x + n, fresh);
+        if (returned) return DAL_REFUSED(k, DAL_FAILED_POTENTIAL, returned);
+        DAL_KERNEL_PART(take)(n, at_node, unknown, fresh, force);
+    }
+    const dal_real weight = h * (at_node ? s->node : s->start);
+    DAL_KERNEL_PART(accelerate)(k, at, n, o->has.inverse, force, at->step);
+    for (size_t i = 0; i < n; i++)
+        if (DAL_KERNEL_HAS(o->has.kick, i)) {
+            at->push[i] -= weight * at->step[i];
+            at->base[i] -= weight * at->step[i];
+        }
+    return DAL_SUCCESS;
+}
+
+/* From node i to q~'_i with the velocity w_i, by way.  If turns is true, the velocity constant and
+ * both ways equal, they have the same number of ulps of q. So the node is in the middle to the bit.
+ * Then a uniformly turning blade loses no energy to the rounding of a large angle.  Each way has
+ * half of low: its rounding error is in low twice, and the next two ways remove all of it. */
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(leave)(const dal_stage *s, size_t n, bool turns,
+                                                  const dal_arrays_of *at, size_t i, dal_real w,
+                                                  dal_real way)
+{
+    if (!turns || s->before != s->after) return at->from[i] + way;
+    return DAL_SELECT(DAL_AND(w == at->x[n + i], at->low[n + i] == 0.0),
+                      at->node[i] + (at->node[i] - at->x[i]), at->from[i] + way);
+}
+
+/* Computes the stored position from the node and the new velocity; point <- the q~' recovered from
+ * it.  With kept nodes q_{k+1} = q_k + h v' is stored, and q~' is recovered as q_{k+1} - (1-beta) h
+ * v'. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(place)(const dal_kernel_of *k, const dal_stage *s, size_t n,
+                                              bool kept, bool turns, const dal_arrays_of *at)
+{
+    const dal_real reach = (kept ? s->span : s->after) * k->h;
+    for (size_t i = 0; i < n; i++) {
+        const dal_real way = reach * at->w[i];
+        at->move[i] = at->lead[i] + way;
+        at->stored[i] = DAL_KERNEL_PART(leave)(s, n, turns, at, i, at->w[i], way);
+        at->point[i] = kept ? at->stored[i] - k->shift * k->h * at->w[i] : at->stored[i];
+    }
+}
+
+/* ---- predict: the part of v' that is known, and the pull */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel_of *k, const dal_traits_of *o,
+                                               const dal_arrays_of *at, dal_real *force1,
+                                               dal_flag going)
+{
+    const dal_stage *const s = o->stage;
+    DAL_KERNEL_SIZES;
+    const dal_real *const x = at->x, *const pull = at->pull;
+    const dal_real h = k->h, b = s->after * h;
+    const dal_real before = (o->kept ? 0.0 : s->before) * h; /* a kept node is the state */
+    for (size_t i = 0; i < n; i++) {
+        const dal_real way = before * x[n + i], near = x[i] + way;
+        at->lead[i] = at->low[i] + way;
+        at->from[i] = near + at->low[i];
+        at->node[i] = s->linear && !o->kept ? at->from[i] : near;
+        if (o->turns) {
+            const dal_flag even = at->low[n + i] == 0.0; /* as where v is constant */
+            at->from[i] = DAL_SELECT(even, x[i] + (0.5 * at->low[i] + way), at->from[i]);
+            at->node[i] = DAL_SELECT(even, at->from[i], at->node[i]);
+        }
+        at->push[i] = at->low[n + i];
+        at->base[i] = x[n + i] + at->low[n + i];
+    }
+    if (o->potential && !o->apart) {
+        const int status = DAL_KERNEL_PART(kick)(k, o, at, force1, going);
+        if (status) return status;
+    }
+    /* The latest pull is added last; q~' does not wait for v', and predictions do not wait for low,
+     * because this is the critical path.  A steady coordinate is not predicted, but known to the
+     * bit. */
+    for (size_t i = 0; i < n; i++) {
+        const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
+        dal_real early = o->steady || o->potential ? at->base[i] : x[n + i];
+        if (pulled) early += s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i];
+        at->w[i] = early;
+        at->point[i] = o->steady || o->turns
+                           ? DAL_KERNEL_PART(leave)(s, n, o->turns, at, i, early, b * early)
+                           : at->node[i] + b * early;
+        if (pulled) {
+            at->w[i] += s->ahead[0] * pull[i];
+            at->point[i] += b * s->ahead[0] * pull[i];
+        }
+    }
+    return DAL_SUCCESS;
+}
+
+/* mu at the node, unless it is that of the stage before. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(form_node)(dal_kernel_of *k, const dal_traits_of *o,
+                                                 const dal_arrays_of *at, dal_flag going)
+{
+    DAL_KERNEL_SIZES;
+    (void)going;
+#ifdef DAL_KERNEL_MOMENTA
+    if (k->formed && o->stage->before == 0.0) {
+        DAL_KERNEL_COPY(m * n, k->forms, at->mu_node);
+        return 0;
+    }
+#endif
+    return DAL_CONSTRAINT(k, at, going, DAL_KERNEL_TIME(k, o->number, o->stage->t_node), at->node, at->x + n,
+                          at->mu_node, NULL);
+}
+
+/* ---- factor: S, with mu at the prediction, and then at the node: more has to wait for the first.
+ * Returns > 0 if no lane remains open; the others are left to finish. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel_of *k, const dal_traits_of *o,
+                                              const dal_arrays_of *at, dal_real *force1,
+                                              dal_flag *open)
+{
+    const dal_stage *const s = o->stage;
+    DAL_KERNEL_SIZES;
+    int returned = 0;
+    if (m > 0 && !s->linear)
+        returned = DAL_CONSTRAINT(k, at, *open, o->t_end, at->point, at->w, at->mu,
+                                  o->steady ? NULL : at->N);
+    if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, returned);
+    if (m > 0) {
+        const int status = DAL_KERNEL_PART(form_node)(k, o, at, *open);
+        if (status) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, status);
+        DAL_KERNEL_PART(direct)(k, at, n, m, o->has.inverse);
+    }
+    const size_t entries = at->rows ? dal_rows_entries(at->rows) : m * n;
+    if (s->linear) DAL_KERNEL_COPY(entries, at->mu_node, at->mu);
+    if (s->linear || (o->steady && o->has.N)) {
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < entries; i++) at->N[i] = DAL_NUMBER(0.0);
+    }
+    if (o->ends && returned == 0)
+        returned = DAL_KERNEL_PART(pull)(k, at, *open, o->t_end, at->point, at->w, force1);
+    if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_POTENTIAL, returned);
+    if (returned > 0) return 1;
+    if (m == 0) return DAL_SUCCESS;
+    const dal_real b = s->after * k->h;
+    const dal_flag regular = at->rows ? DAL_FLAG(k->factor(k, b) > 0)
+                                      : DAL_KERNEL_PART(factor_S)(at, n, m, o->has, b);
+    *open = DAL_AND(*open, regular);
+    return DAL_ANY(*open) ? DAL_KERNEL_PART(look)(k, o, at, open) : 1;
+}
+
+/* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
+
+/* r <- -mu w, with mu at the stored q~'. Returns those of these lanes in which the residual of
+ * every constraint is within half of its bound.  In these stats.worst_residual is raised if the
+ * residual exceeds it.  False if r is not finite. */
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(find_settled)(dal_kernel_of *k, const dal_traits_of *o,
+                                                         const dal_arrays_of *at, dal_flag which)
+{
+    DAL_KERNEL_SIZES;
+    const double limit = DAL_KERNEL_LIMIT(DAL_KERNEL_PART(terms)(at, n));
+    dal_real largest = k->stats.worst_residual;
+    const dal_real speed = DAL_KERNEL_PART(speed)(n, at->per_unit, at->w);
+    const dal_real seen = DAL_SELECT(largest < limit, largest, DAL_NUMBER(limit)) * speed;
+    dal_flag settled = which;
+    bool raised = false;
+    for (size_t a = 0; a < m; a++) {
+        const dal_real sum = DAL_KERNEL_PART(product)(at, n, o->has.mu, at->mu, a, at->w);
+        const dal_real norm = DAL_KERNEL_PART(row_norm)(at, n, o->has.mu, at->mu, a);
+        at->r[a] = -sum;
+        /* nor if both are infinite; norm * speed may overflow */
+        const dal_flag rare = DAL_AND(which, DAL_NOT(norm * seen > DAL_ABS(sum)));
+        if (DAL_KERNEL_RARE(DAL_ANY(rare))) {
+            const dal_real s = norm * speed;
+            settled = DAL_AND(settled, DAL_OR(DAL_NOT(rare), norm * (limit * speed) - DAL_ABS(sum)
+                                                                 >= 0.0));
+            largest = DAL_SELECT(DAL_AND(rare, DAL_ABS(sum) > largest * s), DAL_ABS(sum) / s,
+                                 largest);
+            raised = true;
+        }
+    }
+    if (raised)
+        k->stats.worst_residual = DAL_SELECT(settled, largest, k->stats.worst_residual);
+    return settled;
+}
+
+/* Whether r may be roundoff: of w, the sum of goal and Z^T kappa, and of q~', through N.  No
+ * correction would reduce it. */
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_roundoff)(const dal_kernel_of *k,
+                                                        const dal_traits_of *o,
+                                                        const dal_arrays_of *at)
+{
+    DAL_KERNEL_SIZES;
+    (void)k;
+    const dal_real terms = DAL_KERNEL_PART(speed)(n, at->per_unit, at->w)
+                         + DAL_KERNEL_PART(speed)(n, at->per_unit, at->goal);
+    dal_flag roundoff = DAL_FLAG(true);
+    for (size_t a = 0; a < m; a++) {
+        dal_real shifted = DAL_NUMBER(0.0);
+        for (size_t i = 0; !at->rows && i < n; i++)
+            if (DAL_KERNEL_HAS(o->has.N, a * n + i))
+                shifted += DAL_ABS(at->N[a * n + i])
+                         * (DAL_ABS(at->point[i]) + DAL_ABS(at->stored[i]));
+        if (at->rows)
+            shifted = DAL_ROWS_EXTENT(at->rows, at->N, a, at->point)
+                    + DAL_ROWS_EXTENT(at->rows, at->N, a, at->stored);
+        const dal_real norm = DAL_KERNEL_PART(row_norm)(at, n, o->has.mu, at->mu, a);
+        const dal_real bound = 2.0 * (double)DAL_KERNEL_PART(terms)(at, n) * norm * terms;
+        roundoff = DAL_AND(roundoff,
+                           2.0 * DAL_KERNEL_U * (bound + shifted) - DAL_ABS(at->r[a]) >= 0.0);
+    }
+    return roundoff;
+}
+
+/* One correction of w and kappa, from V_q(point) in force1 if ends, and mu and N at the q~' of
+ * seen[n].  If first, kappa was 0.  The equations are v' = goal + Z^T kappa and mu v' + b N (v' -
+ * seen) = 0.  The term b N (v' - seen) is the change of mu v' with q~'. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(newton)(const dal_kernel_of *k, const dal_traits_of *o,
+                                               const dal_arrays_of *at, const dal_real *force1,
+                                               dal_flag open, bool first, bool all)
+{
+    const dal_stage *const s = o->stage;
+    const dal_pattern has = o->has;
+    DAL_KERNEL_SIZES;
+    (void)open, (void)all;
+    const dal_real h = k->h, b = s->after * h, *const seen = o->ends ? at->seen : at->w;
+    if (o->ends) DAL_KERNEL_PART(accelerate)(k, at, n, has.inverse, force1, at->goal);
+    for (size_t i = 0; i < n; i++) {
+        const dal_real kick = o->ends && DAL_KERNEL_HAS(has.kick, i) ? h * s->end * at->goal[i]
+                                                                     : DAL_NUMBER(0.0);
+        at->move[n + i] = at->push[i] - kick;
+        at->goal[i] = at->base[i] - kick;
+        at->step[i] = at->goal[i];
+        if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
+            at->step[i] += DAL_KERNEL_PART(reaction)(at, n, m, has.Z, i, at->kappa);
+    }
+    for (size_t a = 0; a < m; a++) {
+        dal_real sum = DAL_KERNEL_PART(product)(at, n, has.mu, at->mu, a, at->step);
+        if (has.N) {
+            dal_real turn = DAL_NUMBER(-0.0);
+            if (at->rows)
+                for (size_t e = at->rows->first[a]; e < at->rows->first[a + 1]; e++)
+                    turn += at->N[e] * (at->step[at->rows->column[e]] - seen[at->rows->column[e]]);
+            for (size_t i = 0; !at->rows && i < n; i++)
+                if (DAL_KERNEL_HAS(has.N, a * n + i) && DAL_KERNEL_HAS(has.pull, i))
+                    turn += at->N[a * n + i] * (at->step[i] - seen[i]);
+            sum += b * turn;
+        }
+        at->r[a] = -sum;
+    }
+    if (m > 0) DAL_KERNEL_PART(solve_S)(k, at, m);
+    for (size_t a = 0; a < m; a++) /* 0 + d would be waited for */
+        at->kappa[a] = first ? at->d[a] : DAL_TAKE(all, open, at->kappa[a] + at->d[a],
+                                                   at->kappa[a]);
+    for (size_t i = 0; i < n; i++) {
+        if (!DAL_KERNEL_HAS(has.pull, i)) continue;
+        const dal_real reaction = m > 0 ? DAL_KERNEL_PART(reaction)(at, n, m, has.Z, i, at->kappa)
+                                        : DAL_NUMBER(-0.0);
+        const dal_real next = at->goal[i] + reaction;
+        at->move[n + i] += reaction;
+        at->step[i] = next - at->w[i];
+        at->w[i] = next; /* a frozen lane keeps its value */
+    }
+}
+
+/* Whether corrections shrink; balanced <- whether V_q need not be evaluated again.  Corrections
+ * shrink by the same factor again, and the next stage may give V_q more weight. */
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(judge)(const dal_kernel_of *k, const dal_traits_of *o,
+                                                  const dal_arrays_of *at,
+                                                  dal_progress_of *progress, bool first,
+                                                  dal_flag *balanced)
+{
+    const dal_stage *const s = o->stage;
+    DAL_KERNEL_SIZES;
+    (void)k;
+    const dal_real last = progress->last;
+    dal_real size = DAL_NUMBER(-0.0);
+    for (size_t i = 0; i < n; i++)
+        if (DAL_KERNEL_HAS(o->has.pull, i))
+            size += DAL_ABS(at->step[i]) * at->per_unit[i];
+    const dal_real noise =
+        8.0 * DAL_KERNEL_U * DAL_KERNEL_PART(extent)(n, at->per_unit, at->goal);
+    const dal_flag small = size <= noise;
+    *balanced = DAL_FLAG(true);
+    if (o->ends)
+        *balanced = first ? small
+                          : DAL_OR(small, DAL_AND(DAL_NOT(progress->anew),
+                                                  DAL_KERNEL_SAFETY * (size * (size / last))
+                                                          * s->reuse
+                                                      <= noise * fabs(s->end)));
+    const dal_flag shrinks =
+        first ? DAL_FLAG(true) : DAL_OR(progress->anew, DAL_OR(size <= 0.5 * last, small));
+    if (o->ends) {
+        progress->anew = DAL_AND(progress->passed, *balanced);
+        progress->passed =
+            DAL_AND(DAL_NOT(*balanced),
+                    (first ? 0.0 * size : size * (size / last)) <= DAL_KERNEL_PASSING * noise);
+    } else {
+        progress->anew = DAL_FLAG(false);
+    }
+    progress->last = size;
+    return shrinks;
+}
+
+/* A correction of the open lanes, and the evaluations after it.  Returns DAL_KERNEL_AGAIN if some
+ * remain open, and > 0 too if these are left to finish. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(correct)(dal_kernel_of *k, const dal_traits_of *o,
+                                               const dal_arrays_of *at, dal_real *force1,
+                                               dal_progress_of *progress, bool first, bool all)
+{
+    DAL_KERNEL_SIZES;
+    dal_flag balanced = DAL_FLAG(true);
+    int returned = 0;
+    DAL_COUNT_ITERATION(k, at, progress->open);
+    DAL_KERNEL_PART(newton)(k, o, at, force1, progress->open, first, all);
+    DAL_KERNEL_PART(place)(k, o->stage, n, o->kept, o->turns, at);
+    if (!o->known || o->ends) {
+        const dal_flag shrinks = DAL_KERNEL_PART(judge)(k, o, at, progress, DAL_KERNEL_LANES && first, &balanced);
+        DAL_LEAVE_UNLESS(progress->open, shrinks);
+    }
+    const dal_flag look = o->ends ? DAL_AND(progress->open, DAL_NOT(progress->passed))
+                                  : progress->open;
+    if (!o->known && DAL_ANY(look)) {
+        const bool whole = all && !(o->ends && DAL_ANY(DAL_AND(progress->open, DAL_NOT(look))));
+        DAL_FRESH(mu, DAL_KERNEL_M * DAL_N, at->mu);
+        returned = DAL_CONSTRAINT(k, at, look, o->t_end, at->point, at->w, mu, NULL);
+        if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, returned);
+        if (whole) {
+            DAL_KERNEL_PART(take)(m * n, true, look, mu, at->mu);
+            if (o->ends) DAL_KERNEL_COPY(n, at->w, at->seen);
+        } else {
+            DAL_KERNEL_PART(take)(m * n, false, look, mu, at->mu);
+            for (size_t i = 0; o->ends && i < n; i++)
+                at->seen[i] = DAL_SELECT(look, at->w[i], at->seen[i]);
+        }
+    }
+    const dal_flag again = DAL_AND(progress->open, DAL_NOT(balanced));
+    if (o->ends && DAL_ANY(again) && returned == 0) {
+        DAL_FRESH(force, DAL_N, force1);
+        returned = DAL_KERNEL_PART(pull)(k, at, again, o->t_end, at->point, at->w, force);
+        if (all && !DAL_ANY(DAL_AND(progress->open, balanced)))
+            DAL_KERNEL_PART(take)(n, true, again, force, force1);
+        else
+            DAL_KERNEL_PART(take)(n, false, again, force, force1);
+    }
+    if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_POTENTIAL, returned);
+    if (returned > 0) return 1;
+    const dal_flag last = DAL_AND(progress->open, balanced);
+    if (!DAL_KERNEL_LANES && !DAL_ANY(last)) return DAL_KERNEL_AGAIN;
+    const dal_flag settled = DAL_KERNEL_PART(find_settled)(k, o, at, last);
+    progress->settled = DAL_OR(progress->settled, settled);
+    dal_flag done = o->known ? last : settled;
+    if (!o->known && DAL_ANY(DAL_AND(last, DAL_NOT(settled))))
+        done = DAL_OR(done, DAL_AND(last, DAL_KERNEL_PART(is_roundoff)(k, o, at)));
+    progress->solved = DAL_OR(progress->solved, done);
+    progress->open = DAL_AND(progress->open, DAL_NOT(done));
+    if (!DAL_ANY(progress->open)) return DAL_SUCCESS;
+    if (o->steady && DAL_ANY(last)) return DAL_FAIL(k, DAL_EINVAL, DAL_FAILED_STEADY);
+    return DAL_KERNEL_AGAIN;
+}
+
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel_of *k, const dal_traits_of *o,
+                                               const dal_arrays_of *at, dal_real *force1,
+                                               dal_progress_of *progress)
+{
+    DAL_KERNEL_SIZES;
+    (void)m;
+    int status = DAL_KERNEL_AGAIN;
+    progress->passed = DAL_FLAG(false);
+    progress->anew = DAL_FLAG(true);
+    progress->last = DAL_NUMBER(HUGE_VAL);
+    if (o->ends) DAL_KERNEL_COPY(n, at->w, at->seen);
+    for (int i = 1; i <= DAL_KERNEL_CORRECTIONS && status == DAL_KERNEL_AGAIN; i++) {
+        if (!DAL_KERNEL_LANES)
+            status = DAL_KERNEL_PART(correct)(k, o, at, force1, progress, i == 1, true);
+        else if (i == 1)
+            status = DAL_KERNEL_PART(correct)(k, o, at, force1, progress, true, true);
+        else if (!DAL_ANY(progress->solved))
+            status = DAL_KERNEL_PART(correct)(k, o, at, force1, progress, false, true);
+        else
+            status = DAL_KERNEL_PART(correct)(k, o, at, force1, progress, false, false);
+    }
+    return status;
+}
+
+/* ---- settle: whether the stored state is finite and has a small residual; a kept node would lead
+ * to another q~' */
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(settle)(dal_kernel_of *k, const dal_traits_of *o,
+                                                   const dal_arrays_of *at,
+                                                   const dal_progress_of *progress)
+{
+    DAL_KERNEL_SIZES;
+    dal_flag settled = progress->settled;
+    const dal_flag rest = DAL_AND(progress->solved, DAL_NOT(settled));
+    if (m > 0 && !o->kept && DAL_KERNEL_RARE(DAL_ANY(rest))) {
+        DAL_KERNEL_PART(solve_S)(k, at, m);
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) {
+            const dal_real mended = DAL_TAKE(
+                false, rest,
+                at->w[i] + DAL_KERNEL_PART(reaction)(at, n, m, o->has.Z, i, at->d), at->w[i]);
+            at->move[n + i] += mended - at->w[i];
+            at->w[i] = mended;
+        }
+        settled = DAL_OR(settled, DAL_KERNEL_PART(find_settled)(k, o, at, rest));
+    }
+    return DAL_AND(settled, DAL_KERNEL_PART(is_finite)(n, at));
+}
+
+/* ---- commit.  The next stage adds the rounding error of the sum of x and move, so these errors do
+ * not accumulate (compensated summation; E. Hairer, R. McLachlan and A. Razakarivony 2008).  Those
+ * of move, smaller by h, do accumulate. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel_of *k, const dal_traits_of *o,
+                                               const dal_arrays_of *at, dal_real *force1,
+                                               dal_flag made, dal_flag solved, bool all)
+{
+    DAL_KERNEL_SIZES;
+    dal_real *const x = at->x, *const pull = at->pull, *const low = at->low;
+    (void)made, (void)all;
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) {
+        if (!o->steady && DAL_KERNEL_HAS(o->has.pull, i)) {
+            pull[2 * n + i] = DAL_TAKE(all, made, pull[n + i], pull[2 * n + i]);
+            pull[n + i] = DAL_TAKE(all, made, pull[i], pull[n + i]);
+            pull[i] = DAL_TAKE(all, made, at->w[i] - at->base[i], pull[i]);
+        }
+        low[i] = DAL_TAKE(all, made, x[i] - at->stored[i] + at->move[i], low[i]);
+        low[n + i] = DAL_TAKE(all, made, x[n + i] - at->w[i] + at->move[n + i], low[n + i]);
+        x[i] = DAL_TAKE(all, made, at->stored[i], x[i]);
+        x[n + i] = DAL_TAKE(all, made, at->w[i], x[n + i]);
+    }
+    const dal_flag starts = DAL_AND(made, DAL_NOT(k->pulled));
+    if (!o->steady && DAL_KERNEL_RARE(DAL_ANY(starts))) { /* the best guess of the past */
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) {
+            pull[n + i] = DAL_SELECT(starts, pull[i], pull[n + i]);
+            pull[2 * n + i] = DAL_SELECT(starts, pull[i], pull[2 * n + i]);
+        }
+        k->pulled = DAL_OR(k->pulled, starts);
+    }
+    for (size_t a = 0; a < m; a++)
+        k->impulse[a] = DAL_TAKE(all, made, k->impulse[a] + at->kappa[a], k->impulse[a]);
+    DAL_KERNEL_PART(pass_on)(k, at, n, o->ends, all, made, force1);
+    if (o->potential && !o->plain)
+        k->forced = DAL_OR(DAL_AND(made, o->ends ? solved : DAL_FLAG(false)),
+                           DAL_AND(DAL_NOT(made), k->forced));
+}
+
+/* A stage of step number, counted from 0, of the lanes that go on.  The argument plain, a constant
+ * after inlining, means moved nodes, and V = 0 or at nodes only.  So code for other cases costs
+ * nothing. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel_of *const k, const dal_real number,
+                                             const dal_stage *const s, const bool plain,
+                                             const dal_masses_of *const masses, dal_real *const x,
+                                             dal_real *const pull)
+{
+    DAL_KERNEL_SIZES;
+    (void)masses, (void)x, (void)pull;
+    dal_pattern has = DAL_KERNEL_PATTERN;
+#ifdef DAL_N
+    DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
+    DAL_KERNEL_SHARED(point, DAL_N, 3 * n);
+    DAL_KERNEL_SHARED(w, DAL_N, 4 * n);
+    DAL_KERNEL_SHARED(mu_node, DAL_KERNEL_M * DAL_N, 10 * n);
+    DAL_KERNEL_SHARED(mu, DAL_KERNEL_M * DAL_N, 10 * n + m * n);
+    DAL_KERNEL_SHARED(N, DAL_KERNEL_M * DAL_N, 10 * n + 2 * m * n);
+    /* not passed to other functions: on the stack, for the registers */
+    dal_real base[DAL_N], goal[DAL_N], step[DAL_N], seen[DAL_N], stored[DAL_N];
+    dal_real from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N];
+    dal_real Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
+    dal_real r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
+    DAL_EXCHANGES(row);
+    DAL_TALLY(tally);
+#if DAL_KERNEL_LANES
+    dal_real mass_inverse[DAL_N * DAL_N], unit[DAL_N], per_unit[DAL_N];
+    DAL_KERNEL_PART(take_masses)(k, mass_inverse, unit, per_unit);
+#else
+    const double *const mass_inverse = masses->mass_inverse;
+    const double *const unit = masses->unit, *const per_unit = masses->per_unit;
+#endif
+    const dal_arrays_of at = {x, pull, pull + 3 * n, node, point, w, mu_node, mu, N, base, goal,
+                              step, seen, stored, from, lead, push, move, Z, S, sizes, r, d, kappa,
+                              row, mass_inverse, unit, per_unit, n + 1, NULL, false, tally};
+#else
+    const dal_arrays_of at = k->at;
+#endif
+    DAL_FRESH(force1, DAL_N, k->force1);
+    const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
+    const bool potential = DAL_KERNEL_PULLED || at.dragged;
+    const bool inside = DAL_KERNEL_STEADY > 0 && plain;
+    const int declared = DAL_KERNEL_STEADY == 0 ? 0 : k->steady;
+    const bool proved = inside || declared >= DAL_STEADY_PROVED;
+    if (inside) has.N = 0;
+    const dal_traits_of o = {.stage = s, .number = number, .has = has, .plain = plain,
+                             .kept = kept, .t_end = DAL_KERNEL_TIME(k, number, s->t_end),
+                             .potential = potential,
+                             .ends = potential && !plain && s->end != 0.0,
+                             .turns = DAL_KERNEL_TURNS(k) && !kept,
+                             .steady = inside || declared,
+                             .known = m == 0 || proved || (s->linear && !kept),
+                             .apart = plain && DAL_KERNEL_STEADY > 1};
+
+    dal_progress_of progress = {.open = DAL_GOING(k), .solved = DAL_FLAG(false),
+                                .settled = DAL_FLAG(false)};
+    int status = DAL_KERNEL_PART(predict)(k, &o, &at, force1, progress.open);
+    if (status) return status;
+    DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++) at.kappa[a] = DAL_NUMBER(0.0);
+    status = DAL_KERNEL_PART(factor)(k, &o, &at, force1, &progress.open);
+    if (status < 0) return status;
+    if (o.apart) {
+        const int kicked = DAL_KERNEL_PART(kick)(k, &o, &at, force1, progress.open);
+        if (kicked) return kicked;
+        DAL_KERNEL_COPY(n, at.base, at.w);
+    }
+    dal_flag made = DAL_FLAG(false);
+    if (status > 0) {
+        DAL_KERNEL_COPY(n, at.node, at.stored);
+        DAL_KERNEL_COPY(n, at.base, at.goal);
+    } else {
+        status = DAL_KERNEL_PART(iterate)(k, &o, &at, force1, &progress);
+        if (status < 0) return status;
+        made = DAL_KERNEL_PART(settle)(k, &o, &at, &progress);
+    }
+    if (DAL_KERNEL_RARE(!DAL_EVERY(made))) {
+        status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &progress.solved, &made);
+        if (status) return status;
+    }
+    if (DAL_EVERY(made))
+        DAL_KERNEL_PART(commit)(k, &o, &at, force1, made, progress.solved, true);
+    else
+        DAL_KERNEL_PART(commit)(k, &o, &at, force1, made, progress.solved, false);
+    return DAL_SUCCESS;
+}
