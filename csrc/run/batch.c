@@ -7,6 +7,21 @@ static size_t to_next_row(const dal__lane *one)
     return one->run.stored * one->run.stride - one->expected;
 }
 
+/* Whether the next step of a run has inputs of its own. */
+static bool inputs_change(const dal_run *run)
+{
+    return run->inputs && run->done < run->steps && run->done % run->input_steps == 0;
+}
+
+/* The number of steps to where a lane has to be unloaded. */
+static size_t to_next_stop(const dal__lane *one)
+{
+    const size_t row = to_next_row(one);
+    const size_t row_of_inputs = one->run.inputs
+        ? one->run.input_steps - one->expected % one->run.input_steps : row;
+    return row_of_inputs < row ? row_of_inputs : row;
+}
+
 /* Stepper, system and run become those of the member in a lane. */
 static void unload(dal__worker *self, size_t first, size_t number)
 {
@@ -14,7 +29,19 @@ static void unload(dal__worker *self, size_t first, size_t number)
     if (self->own) dal__member_bind(self); /* which it had before, without fault */
     dal__lanes_unload(self->lanes, number, self->stepper);
     self->run = self->lane[number].run;
-    self->run.done = dal__lanes_made(self->lanes, number);
+    self->run.done = self->lane[number].loaded + dal__lanes_made(self->lanes, number);
+}
+
+/* Loads the member of the stepper and the run into a lane, after the first step with new inputs. */
+static int reload(dal__worker *self, size_t number)
+{
+    dal_run *const run = &self->run;
+    const int status = inputs_change(run) ? dal_run_go(run, 1) : DAL_SUCCESS;
+    const bool goes = !status && run->done < run->steps;
+    self->lane[number] = (dal__lane){.goes = goes, .run = *run, .loaded = run->done,
+                                     .expected = run->done};
+    if (goes) dal__lanes_load(self->lanes, number, self->stepper);
+    return status;
 }
 
 /* Stores a row of a lane, or completes its member without lanes if it has stopped before a step. */
@@ -25,9 +52,12 @@ static void lane_update(dal__worker *self, size_t first, size_t number)
     int status = DAL_SUCCESS;
     unload(self, first, number);
     const bool goes = run->done == one->expected && run->done < run->steps && !self->stopped;
+    const size_t stored = run->stored;
     if (goes) status = dal_run_go(run, 0); /* which stores the row */
+    if (run->stored > stored) dal__lanes_forget_impulse(self->lanes, number);
     one->run = *run;
     one->goes = goes && !status;
+    if (one->goes && inputs_change(run)) status = reload(self, number);
     if (one->goes) return;
     status = status ? dal__member_finish(self, status) : dal__member_complete(self);
     dal__member_report(self, status);
@@ -45,21 +75,21 @@ static void load(dal__worker *self, size_t first, size_t count)
         bool goes = false;
         if (!status) {
             status = dal_run_go(&self->run, 0);
-            goes = !status && self->run.steps > 0;
+            if (!status) status = reload(self, i);
+            goes = self->lane[i].goes;
             if (!goes) status = dal__member_finish(self, status);
         }
-        self->lane[i] = (dal__lane){.goes = goes, .run = self->run};
-        if (goes) dal__lanes_load(self->lanes, i, self->stepper);
-        else dal__member_report(self, status);
+        if (!goes) dal__member_report(self, status);
     }
 }
 
-/* The number of steps until a lane reaches a row, or until the clock is read; 0 if no lane goes. */
+/* The number of steps until a lane is at a row or at other inputs, or until the clock is read; 0 if
+ * no lane goes. */
 static size_t plan_steps(const dal__worker *self)
 {
     size_t steps = 0;
     for (size_t i = 0; i < self->width; i++) {
-        const size_t next = self->lane[i].goes ? to_next_row(&self->lane[i]) : 0;
+        const size_t next = self->lane[i].goes ? to_next_stop(&self->lane[i]) : 0;
         if (next > 0 && (steps == 0 || next < steps)) steps = next;
     }
     return self->watch.function && steps > self->piece ? self->piece : steps;
@@ -72,7 +102,6 @@ static void batch_run(dal__worker *self, size_t first, size_t count)
     load(self, first, count);
     while ((steps = plan_steps(self)) > 0) {
         const double began = self->watch.function ? dal__clock() : 0.0;
-        bool at_row = false;
         dal__lanes_advance(self->lanes, steps);
         if (self->watch.function && !self->stopped)
             dal__worker_poll(self, (double)(first - self->first), began);
@@ -81,12 +110,11 @@ static void batch_run(dal__worker *self, size_t first, size_t count)
             if (!one->goes) continue;
             one->expected += steps;
             const bool here = to_next_row(one) == 0;
-            at_row = at_row || here;
-            if (here || self->stopped || dal__lanes_made(self->lanes, i) < one->expected)
+            const bool inputs = one->run.inputs && one->expected % one->run.input_steps == 0;
+            if (here || inputs || self->stopped
+                || one->loaded + dal__lanes_made(self->lanes, i) < one->expected)
                 lane_update(self, first, i);
         }
-        /* rows are those of all lanes at once, or the ends of some */
-        if (at_row && self->members->stride > 0) dal__lanes_forget_impulses(self->lanes);
     }
 }
 

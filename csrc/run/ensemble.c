@@ -112,9 +112,11 @@ static int make_events(dal__worker *self, const dal_scheme *scheme, dal_event *l
     return dal_events_new(&self->events, self->stepper, scheme, list, members->event_count, error);
 }
 
-static bool use_lanes(const dal_members *members, const dal_options *options)
+static bool use_lanes(const dal_system *system, const dal_members *members,
+                      const dal_options *options)
 {
-    return members->lanes && members->event_count == 0 && !members->inputs
+    const bool inputs = !members->inputs || (members->input_steps >= DAL_LANES_INPUT_STEPS && !system->def.driven);
+    return members->lanes && members->event_count == 0 && !members->control && inputs
         && !(options && options->keep_energy) && !varies(options);
 }
 
@@ -125,7 +127,7 @@ static int worker_init(dal__worker *self, const dal_system *system, const dal_sc
     const size_t N = 2 * system->def.n;
     dal_event *list;
     double *scratch;
-    self->width = use_lanes(members, options) ? dal__lanes_width(system, scheme) : 0;
+    self->width = use_lanes(system, members, options) ? dal__lanes_width(system, scheme) : 0;
     dal__reserve(&self->arena, &list, members->event_count, sizeof *list);
     dal__reserve(&self->arena, &self->lane, self->width, sizeof *self->lane);
     dal__reserve(&self->arena, &self->laws, members->event_count, sizeof *self->laws);

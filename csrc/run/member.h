@@ -9,7 +9,8 @@
 /* A member in a lane. */
 typedef struct dal__lane {
     bool goes;
-    size_t expected; /* steps that it has made, if it has not stopped */
+    size_t loaded;   /* steps made when it was loaded */
+    size_t expected; /* and now, if it has not stopped */
     dal_run run;
 } dal__lane;
 

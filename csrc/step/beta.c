@@ -585,6 +585,12 @@ dal_kernel *dal__beta_kernel(const dal_stepper *stepper)
     return stepper->family->advance == advance ? &((beta *)stepper->method)->kernel : NULL;
 }
 
+void dal__beta_take_inputs(const dal_stepper *stepper)
+{
+    beta *const self = stepper->method;
+    dal__copy(self->motion->system->def.inputs, self->kernel.input, self->input);
+}
+
 void dal__beta_any_sizes(dal_stepper *stepper)
 {
     beta *const self = stepper->method;

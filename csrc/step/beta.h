@@ -15,6 +15,9 @@ int dal__beta_check(const dal_scheme *scheme, dal_error *error);
 /* What makes the steps of a stepper of this family; NULL for those of others. */
 dal_kernel *dal__beta_kernel(const dal_stepper *stepper);
 
+/* V_q at the start of the next step, if it is known, is that of the inputs now. */
+void dal__beta_take_inputs(const dal_stepper *stepper);
+
 /* The compilation of the step routine to use for these sizes; the one for any.  Some have stages of
  * momentum.h. */
 dal_kernel_fn dal__kernel_for(size_t n, size_t m, bool with_momenta);

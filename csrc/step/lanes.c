@@ -47,6 +47,7 @@ static const dal_lanes_routine *find_routine(const dal_system *system, size_t ve
     const dal_compiled *const compiled = system->def.compiled;
     const dal_lanes_routine *routine = compiled ? compiled->lanes : NULL;
     if (!routine || system->ctx_size < routine->parameters * sizeof(double)) return NULL;
+    if (routine->inputs != system->def.inputs) return NULL;
     while (routine->vector > 0 && !(runs(routine) && (vector == 0 || routine->vector == vector)))
         routine++;
     return routine->vector > 0 ? routine : NULL;
@@ -236,11 +237,9 @@ void dal__lanes_impulse(const dal__lanes *lanes, size_t lane, double *impulse)
     read(lanes, lane, lanes->places.impulse, lanes->m, impulse);
 }
 
-void dal__lanes_forget_impulses(dal__lanes *lanes)
+void dal__lanes_forget_impulse(dal__lanes *lanes, size_t lane)
 {
-    for (size_t lane = 0; lane < lanes->width; lane++)
-        for (size_t a = 0; a < lanes->m; a++)
-            *at(lanes, lane, lanes->places.impulse + a) = 0.0;
+    for (size_t a = 0; a < lanes->m; a++) *at(lanes, lane, lanes->places.impulse + a) = 0.0;
 }
 
 void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *stepper)
@@ -253,6 +252,7 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     dal_kernel *const k = dal__beta_kernel(stepper);
     k->stats = self->stats;
     motion->steps = counter(lanes, lane, lanes->places.number);
+    read(lanes, lane, from->inputs, lanes->block.inputs, e->own_input);
     k->stats.worst_residual = *at(lanes, lane, from->worst);
     k->stats.iterations += counter(lanes, lane, from->counts + DAL_LANES_ITERATIONS);
     k->stats.constraint_calls += counter(lanes, lane, from->counts + DAL_LANES_CONSTRAINTS);
@@ -270,6 +270,7 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     read(lanes, lane, from->range, 2, k->range);
     dal_kernel_forget(k);
     k->pulled = *at(lanes, lane, from->pulled) != 0.0;
+    dal__beta_take_inputs(stepper);
     k->forced = *at(lanes, lane, from->forced) != 0.0;
     read(lanes, lane, from->x, 2 * n, k->at.x);
     read(lanes, lane, from->pull, 3 * n, k->at.pull);

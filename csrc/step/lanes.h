@@ -37,7 +37,7 @@ size_t dal__lanes_made(const dal__lanes *lanes, size_t lane);
  * which the stepper's is included. */
 void dal__lanes_state(const dal__lanes *lanes, size_t lane, double *x);
 void dal__lanes_impulse(const dal__lanes *lanes, size_t lane, double *impulse);
-void dal__lanes_forget_impulses(dal__lanes *lanes);
+void dal__lanes_forget_impulse(dal__lanes *lanes, size_t lane);
 
 /* The stepper, which may have been another one before, but of the same system and scheme, becomes
  * the one that was loaded, stepped on: state, t0, h, step, predictor, impulse, statistics, and what

@@ -141,20 +141,24 @@ def _by_c(common: Common, rows: Mapping[str, Array], count: int, watch: Show) ->
 
 def without_lanes(common: Common, has_inputs: bool) -> str:
     """Return why members cannot be advanced side by side, "" if they can."""
+    hold, least = common.options.hold or 1, lib.DAL_LANES_INPUT_STEPS
     scheme = common.scheme
     if scheme.nodes != "moved" or scheme.family != "beta":
         return f"the scheme {scheme.name!r} has kept nodes or no sub-steps"
-    given = {"events": common.events, "energy": common.options.energy, "inputs": has_inputs}
+    given = {"events": common.events, "energy": common.options.energy}
     if common.varies:
         return f"with h = {common.options.h!r} each member has its own step size"
     if there := [name for name, value in given.items() if value]:
         return f"{there[0]} are checked for each member"
     if not is_in_c(common):
         return "Python functions are called for each member"
+    if has_inputs and (common.options.inputs is not None or common.system.is_driven):
+        return "inputs are functions, or enter constraints"
+    if has_inputs and hold < least:
+        return f"inputs last {hold} steps (hold), and lanes need at least {least}"
     if lanes.twin(common.system) is None:
         return (
-            f"the system {common.system.name!r} needs formulas, at most 8 coordinates, constant "
-            "mass, linear constraints and no force that depends on v"
+            f"the system {common.system.name!r} needs formulas and at most 8 coordinates"
         )
     return ""
 

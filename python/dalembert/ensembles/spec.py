@@ -188,9 +188,9 @@ class EnsembleOptions(Events, Inputs, Sampling, Step, Extent, Size, _Members):
         "int", "Number of threads; default: one for each processor.", parse=int, metavar="N")
     lanes: bool = option("bool", """
         Advance several members at once with vector instructions, 3 to 6 times as fast.  Requires
-        steps of fixed size, constant mass, linear constraints, no forces that depend on v, n <= 8,
-        and no events, inputs or ``energy``.  Otherwise members are advanced one by one, with a
-        warning; ``lanes`` of the result says which.  The bits of a member then do not depend on
+        steps of fixed size, n <= 8, no events, no ``energy``, and inputs as numbers that last 8
+        steps or more.  Otherwise members are advanced one by one, with a warning; ``lanes`` of the
+        result says which.  The bits of a member then do not depend on
         other members, their order or the threads, on one kind of machine.  They differ from those
         of `integrate` by about 1e-12 over 1000 steps, because vector sines differ in the last bit.
     """, default=False, parse=bool)

@@ -288,7 +288,7 @@ static void test_again(void)
     dal__lanes_load(lanes, 1, member.stepper);
     CHECK(dal__lanes_made(lanes, 1) == 0);
     dal__lanes_advance(lanes, 10);
-    dal__lanes_forget_impulses(lanes);
+    for (size_t i = 0; i < LANES; i++) dal__lanes_forget_impulse(lanes, i);
     dal__lanes_advance(lanes, 20);
     CHECK(dal__lanes_made(lanes, 1) == 30 && dal__lanes_made(lanes, 0) < STEPS);
     dal__lanes_impulse(lanes, 1, impulse);
