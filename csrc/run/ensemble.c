@@ -115,8 +115,9 @@ static int make_events(dal__worker *self, const dal_scheme *scheme, dal_event *l
 static bool use_lanes(const dal_system *system, const dal_members *members,
                       const dal_options *options)
 {
-    const bool inputs = !members->inputs || (members->input_steps >= DAL_LANES_INPUT_STEPS && !system->def.driven);
-    return members->lanes && members->event_count == 0 && !members->control && inputs
+    const bool lasting = members->input_steps >= DAL__LANES_INPUT_STEPS && !system->def.driven;
+    return members->lanes && members->event_count == 0 && !members->control
+        && (!members->inputs || lasting)
         && !(options && options->keep_energy) && !varies(options);
 }
 

@@ -252,7 +252,8 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     dal_kernel *const k = dal__beta_kernel(stepper);
     k->stats = self->stats;
     motion->steps = counter(lanes, lane, lanes->places.number);
-    read(lanes, lane, from->inputs, lanes->block.inputs, e->own_input);
+    read(lanes, lane, from->inputs, lanes->block.inputs,
+         stepper->mech.eval.own_input);
     k->stats.worst_residual = *at(lanes, lane, from->worst);
     k->stats.iterations += counter(lanes, lane, from->counts + DAL_LANES_ITERATIONS);
     k->stats.constraint_calls += counter(lanes, lane, from->counts + DAL_LANES_CONSTRAINTS);

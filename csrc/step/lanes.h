@@ -14,6 +14,10 @@
 /* <cdef> */
 typedef struct dal__lanes dal__lanes;
 
+/* Inputs of members in lanes last so many steps at least, since those at which they change are made
+ * without lanes. */
+enum { DAL__LANES_INPUT_STEPS = 8 };
+
 /* How many lanes there are on this machine; 0 if the steps of the scheme are not made so. */
 size_t dal__lanes_width(const dal_system *system, const dal_scheme *scheme);
 

@@ -1,7 +1,8 @@
 /* arrays.h - the vectors and matrices of a stage, for numbers of one type.
  *
- * The includer defines the types of a number, dal_real, of a decision, dal_flag, and of an exchange of
- * rows, dal_exchange; and DAL_ARRAYS(name), the names of the types here.  kernel.h includes this file for double, lanes.h for vectors. */
+ * The includer defines the types of a number, dal_real, of a decision, dal_flag, and of an exchange
+ * of rows, dal_exchange; and DAL_ARRAYS(name), the names of the types here.  kernel.h includes this
+ * file for double, lanes.h for vectors. */
 
 /* The vectors and matrices of a stage. */
 typedef struct DAL_ARRAYS(arrays) {
@@ -25,7 +26,7 @@ typedef struct DAL_ARRAYS(arrays) {
     /* only for variable sizes: */
     const dal_rows *rows;         /* stored entries of [m*n]; NULL: all */
     bool dragged;                 /* V_q stands for -(L_q + f), f at the velocity there */
-    dal_flag *tally;              /* only in lanes: what the stage has counted */
+    dal_flag *tally;              /* only in lanes: the operations of the stage, counted */
 } DAL_ARRAYS(arrays);
 
 typedef struct DAL_ARRAYS(masses) {
@@ -68,7 +69,7 @@ typedef struct DAL_ARRAYS(spans) {
     bool known;               /* and mu(q~') is mu_k */
 } DAL_ARRAYS(spans);
 
-/* What the iteration of a stage has reached. */
+/* The state of the iteration of a stage. */
 typedef struct DAL_ARRAYS(progress) {
     dal_flag open, solved, settled; /* in iteration; done; and with the residual that it needs */
     dal_flag passed;                /* mu was not evaluated after the last correction, */

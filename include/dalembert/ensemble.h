@@ -14,9 +14,6 @@ DAL_BEGIN_DECLARATIONS
 /* <cdef> */
 /* ---- ensembles ------------------------------------------------------------------------- */
 
-/* Where inputs change, a step is made without lanes. */
-enum { DAL_LANES_INPUT_STEPS = 8 };
-
 /* The members of an ensemble: zero-initialise it, then set members.  Each input is an array of
  * rows, `next` numbers apart.  If next = 0, the first row applies to all members. */
 typedef struct dal_members {
@@ -50,8 +47,9 @@ typedef struct dal_members {
                                    values is not NULL, with ctx as for control.  The member scratch
                                    is not used */
     int lanes;                  /* 1: vector instructions advance several members at once, if the
-                                   system was compiled for this, there are no events, and inputs
-                                   are an array with input_steps >= DAL_LANES_INPUT_STEPS.
+                                   system was compiled for this and there are no events.
+                                   Inputs must be an array with input_steps >= 8: steps at which
+                                   they change are made without lanes.
                                    A member does not depend on the others, but its bits are specific
                                    to this kind of machine */
     size_t stride;              /* 0: one row of results for each member, the end; else steps/stride

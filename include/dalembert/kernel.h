@@ -365,7 +365,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_STEADY -1
 #endif
 
-/* ---- primitives: what lanes.h defines for vectors, here for double and bool */
+/* ---- primitives for double and bool; lanes.h defines those for vectors */
 #ifndef DAL_KERNEL_LANES
 #define DAL_KERNEL_LANES 0
 #define dal_real double
@@ -488,7 +488,7 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_finite)(size_t n, const dal_arrays
     return DAL_ABS(total) <= DBL_MAX;
 }
 
-/* ---- what is done otherwise in lanes */
+/* ---- functions that differ in lanes */
 #if !DAL_KERNEL_LANES
 /* old <- fresh in these lanes: they are one array. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(take)(size_t n, bool all, bool which, const double *fresh,

@@ -41,7 +41,7 @@ typedef struct dal_lanes_block {
     const dal_stage *stage;
     size_t stages;
     bool plain, turns; /* as of a dal_kernel */
-    bool momenta;      /* of a system with stages of momentum.h */
+    bool momenta;      /* the system has stages of momentum.h */
     int steady;
     size_t kinds, parameters, inputs;
     double *numbers, *saved;
@@ -50,14 +50,14 @@ typedef struct dal_lanes_block {
 /* The operations of this routine that are counted. */
 enum { DAL_LANES_ITERATIONS, DAL_LANES_CONSTRAINTS, DAL_LANES_PULLS, DAL_LANES_COUNTED };
 
-/* Where the vectors of a lane are.  A flag is 1 or 0. */
+/* The places of the vectors of a lane.  A flag is 1 or 0. */
 typedef struct dal_lanes_layout {
     size_t t0, h, range, mass, mass_inverse, unit, per_unit, parameters, inputs; /* given */
     size_t going, pulled, forced, carried;                                       /* flags */
     size_t number, worst;  /* of the step; residual */
     size_t counts;         /* [DAL_LANES_COUNTED] */
     size_t x, pull, low, force, impulse, momentum, latest, latest_span, history, known;
-    size_t end; /* of what a step changes */
+    size_t end; /* after the vectors that a step changes */
     size_t forms, point;
     size_t count; /* of all */
 } dal_lanes_layout;
@@ -442,7 +442,7 @@ DAL_KERNEL_INLINE void DAL_LANES(solve_lu)(const dal_vec *A, const dal_mask *swa
     }
 }
 
-/* ---- what is done otherwise than for one member */
+/* ---- functions that differ from those for one member */
 
 /* old <- fresh in these lanes, or in all. */
 DAL_KERNEL_INLINE void DAL_LANES_PART(take)(size_t n, bool all, dal_mask which,
@@ -461,7 +461,7 @@ DAL_KERNEL_INLINE void DAL_LANES_PART(pass_on)(DAL_LANES(kernel) *k, const DAL_L
         k->stats.counts[i] += all ? at->tally[i] : at->tally[i] & made;
 }
 
-/* Lanes in which C has to be looked at stop. */
+/* Lanes stop if C has to be checked. */
 DAL_KERNEL_INLINE int DAL_LANES_PART(look)(const DAL_LANES(kernel) *k, const DAL_LANES(traits) *o,
                                            const DAL_LANES(arrays) *at, dal_mask *open)
 {
@@ -526,8 +526,8 @@ static void DAL_LANES(open)(const dal_lanes_block *block, const dal_lanes_layout
         k->stats.counts[i] = __builtin_convertvector(numbers[at->counts + i], dal_mask);
 }
 
-static void DAL_LANES(close)(const dal_lanes_block *block, const dal_lanes_layout *at, const DAL_LANES(kernel) *k,
-                             dal_vec *numbers)
+static void DAL_LANES(close)(const dal_lanes_block *block, const dal_lanes_layout *at,
+                             const DAL_LANES(kernel) *k, dal_vec *numbers)
 {
     numbers[at->number] = k->number;
     numbers[at->going] = DAL_LANES(count)(k->going);
@@ -540,7 +540,7 @@ static void DAL_LANES(close)(const dal_lanes_block *block, const dal_lanes_layou
         numbers[at->counts + i] = __builtin_convertvector(k->stats.counts[i], dal_vec);
 }
 
-/* What a step of several stages may have to restore: the arrays, and the members of kernel. */
+/* Keeps the arrays that a step of several stages may have to restore. */
 DAL_KERNEL_INLINE void DAL_LANES(save)(const dal_lanes_layout *at, const dal_vec *numbers,
                                        dal_vec *saved)
 {
@@ -565,7 +565,7 @@ static void DAL_LANES(take_back)(const dal_lanes_layout *at, const dal_vec *save
         k->stats.counts[i] = (k->stats.counts[i] & going) | (before->stats.counts[i] & ~going);
 }
 
-/* A stage of the lanes that go on. */
+/* A stage of the active lanes. */
 DAL_KERNEL_INLINE void DAL_LANES(make_stage)(const dal_lanes_block *block, DAL_LANES(kernel) *k,
                                              const dal_stage *s)
 {

@@ -48,8 +48,8 @@ enum { DAL_MOMENTUM_PASSES = 4 };
 /* A[size*size], nearly symmetric and positive definite, becomes its factors L and U, without a
  * change of rows, the diagonal of U inverted.  False if a pivot is not positive, or small against
  * the terms that were added up to that entry of the diagonal. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(eliminate)(size_t size, unsigned long long mask, dal_real *A,
-                                                  const dal_real *terms)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(eliminate)(size_t size, unsigned long long mask,
+                                                      dal_real *A, const dal_real *terms)
 {
     dal_flag regular = DAL_FLAG(true);
     DAL_KERNEL_UNROLL
@@ -71,8 +71,8 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(eliminate)(size_t size, unsigned long
 }
 
 /* y[size] <- A^-1 y. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve)(size_t size, unsigned long long mask, const dal_real *A,
-                                              dal_real *y)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve)(size_t size, unsigned long long mask,
+                                              const dal_real *A, dal_real *y)
 {
     DAL_KERNEL_UNROLL
     for (size_t i = 1; i < size; i++) {
@@ -157,13 +157,13 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(constrain)(dal_kernel_of *k, const dal_tra
     (void)which;
     if (m == 0) return 0;
     if (!of->known)
-        returned = DAL_FORMS(k, at, which, o->t_end, at->point, at->w, of->linear ? NULL : phi, at->mu,
-                                    N);
+        returned = DAL_FORMS(k, at, which, o->t_end, at->point, at->w, of->linear ? NULL : phi,
+                             at->mu, N);
     if (returned || !of->nonlinear) return returned;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) at->goal[i] = 0.5 * (at->x[n + i] + at->w[i]);
-    return DAL_FORMS(k, at, which, DAL_KERNEL_TIME(k, o->number, o->stage->t_node), at->node, at->goal,
-                            NULL, at->mu_node, NULL);
+    return DAL_FORMS(k, at, which, DAL_KERNEL_TIME(k, o->number, o->stage->t_node), at->node,
+                     at->goal, NULL, at->mu_node, NULL);
 }
 
 /* r <- -phi at the state to be stored. */
@@ -220,8 +220,9 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_within)(dal_kernel_of *k, const da
 
 /* Whether A[n*n] is positive definite: by the pivots of L D L^T, beside its diagonal.  In the lower
  * half of A are then L, and D^-1. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_definite)(const dal_kernel_of *k, unsigned long long mask,
-                                                    dal_real *A, const dal_real *diagonal)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_definite)(const dal_kernel_of *k,
+                                                        unsigned long long mask, dal_real *A,
+                                                        const dal_real *diagonal)
 {
     DAL_KERNEL_SIZES;
     (void)k;
@@ -419,7 +420,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(linearise)(dal_kernel_of *k, const dal_tra
 
 /* reaction <- mu_k^T kappa. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel_of *k, const dal_traits_of *o,
-                                              const dal_arrays_of *at, const dal_balance_of *balance)
+                                              const dal_arrays_of *at,
+                                              const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
     (void)k;
@@ -432,7 +434,8 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel_of *k, const dal_
 
 /* residual <- the residual of the balance of momenta. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel_of *k, const dal_spans_of *of,
-                                              const dal_arrays_of *at, const dal_balance_of *balance)
+                                              const dal_arrays_of *at,
+                                              const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
     DAL_KERNEL_UNROLL
@@ -443,8 +446,9 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel_of *k, const dal_
 }
 
 /* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_rounding)(const dal_kernel_of *k, const dal_traits_of *o,
-                                                    const dal_arrays_of *at)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_rounding)(const dal_kernel_of *k,
+                                                        const dal_traits_of *o,
+                                                        const dal_arrays_of *at)
 {
     DAL_KERNEL_SIZES;
     (void)k;
@@ -461,7 +465,8 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_rounding)(const dal_kernel_of *k, 
                     size += DAL_ABS(at->Z[c * n + i] * at->kappa[c]);
             if (DAL_KERNEL_HAS(o->has.mu, a * n + i)) terms += DAL_ABS(at->mu[a * n + i]) * size;
             if (DAL_KERNEL_HAS(o->has.N, a * n + i))
-                moved += DAL_ABS(at->N[a * n + i]) * (DAL_ABS(at->point[i]) + DAL_ABS(at->stored[i]));
+                moved += DAL_ABS(at->N[a * n + i])
+                       * (DAL_ABS(at->point[i]) + DAL_ABS(at->stored[i]));
         }
         const dal_real bound = 2.0 * DAL_KERNEL_U * (2.0 * (double)n * terms + moved);
         roundoff = DAL_ALSO(roundoff, bound - DAL_ABS(at->r[a]) >= 0.0);
@@ -470,19 +475,23 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_rounding)(const dal_kernel_of *k, 
 }
 
 /* The terms of a row of p' that are not L_v. */
-DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(pushes)(const dal_spans_of *of, const dal_balance_of *balance,
-                                                 size_t i)
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(pushes)(const dal_spans_of *of,
+                                                   const dal_balance_of *balance, size_t i)
 {
-    return DAL_ABS(balance->known[i]) + DAL_ABS(of->late * balance->F[i]) + DAL_ABS(balance->reaction[i]);
+    return DAL_ABS(balance->known[i]) + DAL_ABS(of->late * balance->F[i])
+         + DAL_ABS(balance->reaction[i]);
 }
 
 /* The ratio of the worst row of the residual to a rounding.  The rounding is that of its terms, of
  * velocities of coupled rows, by the terms of these rows, or of q~'.  At most 1 if every row is a
  * rounding; NaN if a row is NaN.  If all terms are below DBL_MIN, roundings are not proportional to
  * them. */
-DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(imbalance)(const dal_kernel_of *k, const dal_traits_of *o,
-                                                    const dal_spans_of *of, const dal_arrays_of *at,
-                                                    const dal_balance_of *balance, dal_flag which)
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(imbalance)(const dal_kernel_of *k,
+                                                      const dal_traits_of *o,
+                                                      const dal_spans_of *of,
+                                                      const dal_arrays_of *at,
+                                                      const dal_balance_of *balance,
+                                                      dal_flag which)
 {
     DAL_KERNEL_SIZES;
     (void)k;
@@ -540,8 +549,6 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(correct_balance)(dal_kernel_of *k, const 
         if (m > 0) y[i] += DAL_KERNEL_PART(column)(n, m, o->has.Z, at->Z, i, at->d);
     DAL_COUNT_ITERATION(k, at, open);
 }
-
-/* The corrections of a stage: progress.settled tells the lanes that are solved and in D too. */
 
 /* A correction of the open lanes, and the evaluations after it; returns as correct of stage.h. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(improve)(dal_kernel_of *k, const dal_traits_of *o,

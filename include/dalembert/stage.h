@@ -1,10 +1,10 @@
 /* stage.h - a stage of kernel.h for constant mass and linear constraints, and the linear algebra of
  * all stages.  Only kernel.h includes it, once for each compilation.
  *
- * A number is a dal_real, a decision a dal_flag: double and bool, or a vector of numbers and of
- * decisions with a component for each lane (see lanes.h).  In lanes all execute what one of them
- * needs, and the others discard the result; a lane that has converged is frozen.  The argument all,
- * a constant after inlining, says that no lane is. */
+ * A number is a dal_real, a decision a dal_flag.  These are double and bool; or vectors with a
+ * component for each lane, see lanes.h.  If one lane needs an operation, all execute it, and the
+ * others discard the result.  A lane that has converged is frozen.  The argument all, a constant
+ * after inlining, is true if no lane is frozen. */
 
 /* Row a of A[..*n], whose pattern is mask, times x[n].  Sums begin with their first term, or with
  * -0.  The compiler can omit x + -0 = x, whereas 0 + x costs an addition on the critical path. */
@@ -282,8 +282,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(form_node)(dal_kernel_of *k, const dal_tra
         return 0;
     }
 #endif
-    return DAL_CONSTRAINT(k, at, going, DAL_KERNEL_TIME(k, o->number, o->stage->t_node), at->node, at->x + n,
-                          at->mu_node, NULL);
+    const dal_real t = DAL_KERNEL_TIME(k, o->number, o->stage->t_node);
+    return DAL_CONSTRAINT(k, at, going, t, at->node, at->x + n, at->mu_node, NULL);
 }
 
 /* ---- factor: S, with mu at the prediction, and then at the node: more has to wait for the first.
@@ -488,7 +488,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(correct)(dal_kernel_of *k, const dal_trait
     DAL_KERNEL_PART(newton)(k, o, at, force1, progress->open, first, all);
     DAL_KERNEL_PART(place)(k, o->stage, n, o->kept, o->turns, at);
     if (!o->known || o->ends) {
-        const dal_flag shrinks = DAL_KERNEL_PART(judge)(k, o, at, progress, DAL_KERNEL_LANES && first, &balanced);
+        /* first saves a division; if it is no constant, it costs more */
+        const dal_flag shrinks = DAL_KERNEL_PART(judge)(k, o, at, progress,
+                                                        DAL_KERNEL_LANES && first, &balanced);
         DAL_LEAVE_UNLESS(progress->open, shrinks);
     }
     const dal_flag look = o->ends ? DAL_AND(progress->open, DAL_NOT(progress->passed))
@@ -619,7 +621,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel_of *k, const dal_trait
                            DAL_AND(DAL_NOT(made), k->forced));
 }
 
-/* A stage of step number, counted from 0, of the lanes that go on.  The argument plain, a constant
+/* A stage of step number, counted from 0, of the active lanes.  The argument plain, a constant
  * after inlining, means moved nodes, and V = 0 or at nodes only.  So code for other cases costs
  * nothing. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel_of *const k, const dal_real number,

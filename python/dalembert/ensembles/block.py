@@ -141,7 +141,7 @@ def _by_c(common: Common, rows: Mapping[str, Array], count: int, watch: Show) ->
 
 def without_lanes(common: Common, has_inputs: bool) -> str:
     """Return why members cannot be advanced side by side, "" if they can."""
-    hold, least = common.options.hold or 1, lib.DAL_LANES_INPUT_STEPS
+    hold, least = common.options.hold or 1, lib.DAL__LANES_INPUT_STEPS
     scheme = common.scheme
     if scheme.nodes != "moved" or scheme.family != "beta":
         return f"the scheme {scheme.name!r} has kept nodes or no sub-steps"

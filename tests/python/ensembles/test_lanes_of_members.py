@@ -113,12 +113,12 @@ def test_formulas_that_do_not_say_the_same(monkeypatch):
 
 def test_what_has_no_lanes():
     """It is made as without, to the bit, and the ensemble says so and why."""
-    disc = dal.systems.rolling_disc()
-    assert lanes.twin(disc) is None
-    values = {"r": np.linspace(0.9, 1.1, 5)}
-    given = {"parameters": values, "h": 0.01, "steps": 20}
+    train = dal.systems.n_trailer(trailers=6)
+    assert lanes.twin(train) is None
+    values = {"a": np.linspace(0.18, 0.22, 5)}
+    given = {"h": 0.01, "steps": 20}
     for system, scheme, more, why in (
-        (disc, "midpoint", {}, "'rolling_disc' needs .* constant mass"),
+        (train, "midpoint", {}, "'n_trailer' needs .* at most 8 coordinates"),
         (dal.systems.sleigh(), "midpoint-nodes", {"initial": "shift"}, "'midpoint-nodes' has kept"),
         (dal.systems.sleigh(), "pair:0.5:0.5", {}, "'pair:0.5:0.5' has .* no sub-steps"),
         (dal.systems.sleigh(), "reference", {}, "'reference' has .* no sub-steps"),
@@ -126,7 +126,7 @@ def test_what_has_no_lanes():
         (dal.systems.sleigh(), "midpoint", {"energy": "keep"}, "energy"),
         (dal.systems.sleigh(), "midpoint", {"keep": lambda run: run.q[-1]}, "Python functions"),
     ):
-        chosen = given if system is disc else given | {"parameters": {"a": values["r"] / 5}}
+        chosen = given if system is train else given | {"parameters": values}
         one = many(system, scheme, lanes=False, **chosen, **more)
         assert not one.lanes and "in lanes" not in repr(one)
         with pytest.warns(dal.DalembertWarning, match=f"^lanes = True has no effect, .*: .*{why}"):
@@ -144,6 +144,49 @@ def test_steps_of_variable_size_have_no_lanes(monkeypatch):
     assert not two.lanes and (one.q == two.q).all()
     monkeypatch.setattr(block, "without_lanes", lambda *of: "")
     assert abs(many(dal.systems.sleigh(), **given).q - one.q).max() < 1e-11  # nor in C
+
+
+def pushed():
+    x, y, theta = dal.coordinates("x y theta")
+    u = sympy.Symbol("u")
+    L = (x.d**2 + y.d**2 + theta.d**2 / 2 - x**2) / 2
+    row = sympy.sin(theta) * x.d - sympy.cos(theta) * y.d
+    return dal.System.from_sympy(
+        L, [row], force={x: u, theta: -theta.d / 10}, inputs=[u], name="pushed",
+        q0=[0, 0, 0], v0=[1, 0, 0.4],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["rolling_disc", "snakeboard"])
+def test_momenta(name):
+    """M(q): the runs of members alone, to the last bits of the sines."""
+    given = {"h": 0.01, "steps": 300, "stride": 60, "keep": ["all", "reactions"]}
+    mass = getattr(dal.systems, name)().parameters["m"]
+    values = {"parameters": {"m": mass * np.linspace(0.9, 1.1, 20)}}
+    for scheme in ("leapfrog", "midpoint"):
+        there, plain = (
+            many(getattr(dal.systems, name)(), scheme, lanes=x, **given, **values)
+            for x in (True, False)
+        )
+        assert there.lanes and there.success.all()
+        for column in ("q", "v", "reactions"):
+            size = abs(plain[column]).max()
+            assert 0 < abs(there[column] - plain[column]).max() <= 1e-12 * size, column
+        assert there.worst_residual.max() <= 4 * len(plain.q[0, 0]) * U
+
+
+@pytest.mark.parametrize("hold, stride", [(8, 4), (10, 25), (20, 10), (13, 13)])
+def test_inputs(hold, stride):
+    """Rows of inputs begin within rows of results, at them, and between them."""
+    steps = 13 * 15 if hold == 13 else 200
+    given = {"h": 0.01, "steps": steps, "stride": stride, "keep": ["all", "reactions"],
+             "hold": hold, "inputs": RNG.uniform(-1, 1, (20, -(-steps // hold), 1))}  # fmt: skip
+    there, plain = (many(pushed(), "leapfrog", lanes=x, **given) for x in (True, False))
+    assert there.lanes and there.success.all()
+    for column in ("q", "v", "reactions"):
+        assert abs(there[column] - plain[column]).max() <= 1e-13, column
+    with pytest.warns(dal.DalembertWarning, match=r"inputs last 7 steps \(hold\), and .* least 8"):
+        many(pushed(), h=0.01, steps=70, hold=7, inputs=np.ones((20, 10, 1)))
 
 
 def test_steps_and_step_sizes_of_members():

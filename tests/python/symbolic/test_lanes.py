@@ -13,7 +13,6 @@ from dalembert import compiler
 from dalembert.core import ffi, lib
 from dalembert.symbolic import codegen
 from dalembert.symbolic.evaluation import library
-from dalembert.symbolic.given import make_model
 
 U = 2.0**-53
 MOST = 16  # lanes
@@ -99,7 +98,36 @@ def timed():
     return dal.System.from_sympy(free(q) - z**2 / 2, [row], parameters={w: 2}, force=force)
 
 
-ALGEBRAIC = [particle_oscillator, pivoting, unconstrained, jumping]
+def heavy():
+    """M(q), with a row whose terms change sign."""
+    x, y, z = dal.coordinates("x y z")
+    T = (1 + y**2) * x.d**2 + y.d**2 + (1 + x**2 / 2) * z.d**2 + y * x.d * z.d / 4
+    return dal.System.from_sympy(T / 2 - x**2 - y**2 * z**2, [z.d - y * x.d])
+
+
+def dragged():
+    """Constant mass, and a force that depends on v and on time: stages with and without momenta."""
+    x, y, z = q = dal.coordinates("x y z")
+    force = {x: -(x.d**3) / 10 + dal.time * y / 9, y: x * y.d / 5}
+    return dal.System.from_sympy(free(q) - x**2, [z.d - y * x.d], force=force)
+
+
+def turntable():
+    """Affine rows."""
+    x, y, a, b, c = q = dal.coordinates("x y a b c")
+    rows = [x.d - 3 * b.d / 10 + y / 5, y.d + 3 * a.d / 10 - x / 5]
+    return dal.System.from_sympy(free(q) - x**2 / 10, rows)
+
+
+def curved():
+    """A row that is not linear in v."""
+    x, y, z = q = dal.coordinates("x y z")
+    return dal.System.from_sympy(free(q) + x**2 / 10, [z.d - x.d**2 / 2 + x.d * y.d / 3 + y / 5])
+
+
+ALGEBRAIC = [
+    particle_oscillator, pivoting, unconstrained, jumping, heavy, dragged, turntable, curved,
+]  # fmt: skip
 
 
 class Lanes:
@@ -194,6 +222,7 @@ def flags(request, monkeypatch, tmp_path):
 
 
 CASES = [(x, "libmvec") for x in (pivoting, unconstrained, jumping, knife_edge, sleigh, timed)]
+CASES += [(x, "libmvec") for x in (heavy, dragged, turntable, curved)]
 CASES += [(timed, "libm"), (particle_oscillator, "users"), (robot, "users"), (robot, "clang")]
 
 
@@ -233,7 +262,7 @@ def count(system, scheme, lane, lanes):
     return found.iterations, found.constraint_calls, found.potential_calls, found.worst_residual
 
 
-@pytest.mark.parametrize("make", [robot, jumping], ids=lambda make: make.__name__)
+@pytest.mark.parametrize("make", [robot, jumping, heavy], ids=lambda make: make.__name__)
 def test_neighbours_do_not_matter(make):
     """Lanes in another order, alone, beside others that stop at once or later, in other pieces."""
     system = together(make())
@@ -277,8 +306,9 @@ def fenced():
 
 @pytest.mark.parametrize("scheme", [*SCHEMES, "leapfrog", "midpoint-suzuki4"])
 @pytest.mark.parametrize("make, h, size",
-                         [(fenced, 0.05, 0.35), (contact_oscillator, 1.5, 1), (pivoting, 0.6, 1)],
-                         ids=["domain", "large steps", "pivots"])  # fmt: skip
+                         [(fenced, 0.05, 0.35), (contact_oscillator, 1.5, 1), (pivoting, 0.6, 1),
+                          (heavy, 0.5, 0.6), (dragged, 1.0, 1)],
+                         ids=["domain", "large steps", "pivots", "M(q)", "drag"])  # fmt: skip
 def test_lanes_that_stop_go_on_alone(make, h, size, scheme):
     """What cannot be made side by side is made, or fails, as it would have done alone."""
     system = make()
@@ -370,19 +400,8 @@ def width(system, scheme="midpoint"):
 
 
 def test_models_without_lanes():
-    """Forces of v, inputs, M(q), constraints that are not linear, many coordinates: the library is
-    the ordinary one."""
-    x, y = q = dal.coordinates("x y")
-    u = sympy.Symbol("u")
-    many = dal.coordinates(" ".join(f"x{i}" for i in range(9)))
-    for L, constraints, more in (
-        (free(q), [], {"force": {x: u}, "inputs": [u]}),
-        (free(q) + x**2 * y.d**2, [], {}),
-        (free(q), [x.d + 1], {}),
-        (free(many), [], {}),
-    ):
-        assert not codegen.has_lanes(make_model(L, constraints, None, None, **more)[0])
-    pushed = dal.System.from_sympy(free(q), force={x: -x.d})
+    """Of many coordinates: the library is the ordinary one."""
+    pushed = dal.System.from_sympy(free(dal.coordinates(" ".join(f"x{i}" for i in range(9)))))
     assert not codegen.has_lanes(pushed._model)
     assert library(pushed._model, lanes=True) is library(pushed._model)
     assert width(together(pushed)) == lib.DAL_EUNSUPPORTED
