@@ -46,8 +46,8 @@ def members(system: dal.System, scheme: str, count: int) -> list[dal.Stepper]:
     rng = np.random.default_rng(1)
     made = []
     for _ in range(count):
-        q = system.q0 + rng.uniform(-0.05, 0.05, system.n)
-        v = system.project(q, system.v0 + rng.uniform(-0.05, 0.05, system.n))
+        q = system.q0 + rng.uniform(-0.02, 0.02, system.n)
+        v = system.project(q, system.v0 + rng.uniform(-0.02, 0.02, system.n))
         made.append(dal.Stepper(system, scheme, h=H, q0=q, v0=v))
     return made
 

@@ -57,8 +57,10 @@
  *                                 also DAL_KERNEL_MASS, 0 if all stages are of these, and
  *                                 DAL_KERNEL_KIND, _FORMS, _BALANCE, _VALUES, _START: how the
  *                                 system is called, as they are written below for pointers
- * and includes this file once for each.  All compilations execute the same operations in the same
- * order, except for terms that are 0, so they give the same bits (build with -ffp-contract=off).
+ * and includes this file once for each.  The stages are in stage.h and momentum.h, over numbers and
+ * decisions of any type: here double and bool, in lanes.h vectors.  All compilations execute the
+ * same operations in the same order, except for terms that are 0, so they give the same bits (build
+ * with -ffp-contract=off).
  * Nothing here allocates memory or needs libdalembert or GSL. */
 #ifndef DALEMBERT_KERNEL_H
 #define DALEMBERT_KERNEL_H
