@@ -32,11 +32,12 @@ static void unload(dal__worker *self, size_t first, size_t number)
     self->run.done = self->lane[number].loaded + dal__lanes_made(self->lanes, number);
 }
 
-/* Loads the member of the stepper and the run into a lane, after the first step with new inputs. */
-static int reload(dal__worker *self, size_t number)
+/* Loads the member of the stepper and the run into a lane, after a step without lanes if it is one
+ * with new inputs, or one that lanes cannot make. */
+static int reload(dal__worker *self, size_t number, bool stopped)
 {
     dal_run *const run = &self->run;
-    const int status = inputs_change(run) ? dal_run_go(run, 1) : DAL_SUCCESS;
+    const int status = stopped || inputs_change(run) ? dal_run_go(run, 1) : DAL_SUCCESS;
     const bool goes = !status && run->done < run->steps;
     self->lane[number] = (dal__lane){.goes = goes, .run = *run, .loaded = run->done,
                                      .expected = run->done};
@@ -44,20 +45,23 @@ static int reload(dal__worker *self, size_t number)
     return status;
 }
 
-/* Stores a row of a lane, or completes its member without lanes if it has stopped before a step. */
+/* Stores a row of a lane.  Completes its member without lanes if it has stopped before the first
+ * step since it was loaded. */
 static void lane_update(dal__worker *self, size_t first, size_t number)
 {
     dal__lane *const one = &self->lane[number];
     dal_run *const run = &self->run;
     int status = DAL_SUCCESS;
     unload(self, first, number);
-    const bool goes = run->done == one->expected && run->done < run->steps && !self->stopped;
+    const bool stops = run->done < one->expected;
+    const bool goes = run->done < run->steps && !self->stopped
+                   && (!stops || run->done > one->loaded);
     const size_t stored = run->stored;
     if (goes) status = dal_run_go(run, 0); /* which stores the row */
     if (run->stored > stored) dal__lanes_forget_impulse(self->lanes, number);
     one->run = *run;
     one->goes = goes && !status;
-    if (one->goes && inputs_change(run)) status = reload(self, number);
+    if (one->goes && (stops || inputs_change(run))) status = reload(self, number, stops);
     if (one->goes) return;
     status = status ? dal__member_finish(self, status) : dal__member_complete(self);
     dal__member_report(self, status);
@@ -75,7 +79,7 @@ static void load(dal__worker *self, size_t first, size_t count)
         bool goes = false;
         if (!status) {
             status = dal_run_go(&self->run, 0);
-            if (!status) status = reload(self, i);
+            if (!status) status = reload(self, i, false);
             goes = self->lane[i].goes;
             if (!goes) status = dal__member_finish(self, status);
         }
