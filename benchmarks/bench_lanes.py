@@ -24,7 +24,7 @@ import dalembert as dal
 from dalembert.core import ffi, lib
 from dalembert.ensembles import lanes
 
-H, STEPS, REPETITIONS, MOST = 0.01, 2000, 25, 16
+H, STEPS, REPETITIONS, MOST = 0.01, 500, 60, 16
 
 # Lanes of a vector, the instructions, and how many times as many steps they have to make: of stages
 # with constant mass, and with momenta.
@@ -52,21 +52,6 @@ def members(system: dal.System, scheme: str, count: int) -> list[dal.Stepper]:
     return made
 
 
-def advance(block: Any, steppers: list[dal.Stepper]) -> None:
-    """Advance lanes by STEPS; a step before which a lane stops is made by its stepper."""
-    left = [STEPS] * len(steppers)
-    while (steps := max(left)) > 0:
-        lib.dal__lanes_advance(block, steps)
-        for lane, stepper in enumerate(steppers):
-            made = lib.dal__lanes_made(block, lane)
-            left[lane] -= made
-            if 0 < left[lane]:
-                lib.dal__lanes_unload(block, lane, stepper._handle)
-                lib.dal_advance(stepper._handle, 1, ffi.NULL, ffi.NULL)
-                lib.dal__lanes_load(block, lane, stepper._handle)
-                left[lane] -= 1
-
-
 def measured(system: dal.System, scheme: str) -> dict[int, float]:
     """Return the seconds for a step of a member by lanes of a vector; 1: of the scalar step."""
     together = type(system)._of(dataclasses.replace(system._source, lanes=True))
@@ -76,7 +61,10 @@ def measured(system: dal.System, scheme: str) -> dict[int, float]:
     assert lib.dal__lanes_new(made, side_by_side[0]._handle, ffi.NULL) == 0
     block = made[0]
     found: dict[int, list[float]] = {1: []}
+    first = [stepper.save() for stepper in alone]
     for _ in range(REPETITIONS):
+        for stepper, state in zip(alone, first):
+            stepper.restore(state)
         start = time.perf_counter()
         for stepper in alone:
             lib.dal_advance(stepper._handle, STEPS, ffi.NULL, ffi.NULL)
@@ -88,8 +76,9 @@ def measured(system: dal.System, scheme: str) -> dict[int, float]:
             for lane in range(width):
                 lib.dal__lanes_load(block, lane, side_by_side[lane]._handle)
             start = time.perf_counter()
-            advance(block, side_by_side[:width])
+            lib.dal__lanes_advance(block, STEPS)
             found.setdefault(vector, []).append((time.perf_counter() - start) / width)
+            assert all(lib.dal__lanes_made(block, lane) == STEPS for lane in range(width))
     lib.dal__lanes_free(block)
     return {vector: min(times) / STEPS for vector, times in found.items()}
 
