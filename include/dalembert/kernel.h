@@ -430,9 +430,9 @@ static inline void dal_kernel_forget(dal_kernel *k)
 
 #ifdef DAL_N
 #define DAL_KERNEL_M (DAL_M > 0 ? DAL_M : 1)
-#define DAL_KERNEL_SIZES const size_t n = DAL_N, m = DAL_M; (void)m
+#define DAL_KERNEL_SIZES const size_t n = DAL_N, m = DAL_M; (void)n, (void)m
 #else
-#define DAL_KERNEL_SIZES const size_t n = k->n, m = k->m; (void)m
+#define DAL_KERNEL_SIZES const size_t n = k->n, m = k->m; (void)n, (void)m
 #endif
 /* An array passed to callbacks, unless they are compiled with the kernel. */
 #if DAL_KERNEL_INSIDE

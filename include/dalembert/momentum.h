@@ -701,6 +701,54 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel_of *k, const dal_tra
     DAL_KERNEL_PART(pass_on)(k, at, n, false, all, done, NULL);
 }
 
+/* The parts of a stage, in their order. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(make_balanced)(dal_kernel_of *k, const dal_traits_of *o,
+                                                     const dal_spans_of *of,
+                                                     const dal_arrays_of *at,
+                                                     const dal_balance_of *balance)
+{
+    DAL_KERNEL_SIZES;
+    dal_progress_of progress = {.open = DAL_GOING(k), .solved = DAL_FLAG(false),
+                                .settled = DAL_FLAG(false)};
+    int status = DAL_KERNEL_PART(begin)(k, o, of, at, balance, progress.open);
+    if (status) return status;
+    DAL_KERNEL_PART(extrapolate)(k, o, at);
+    DAL_KERNEL_PART(place)(k, o->stage, n, o->kept, false, at);
+    DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++) at->kappa[a] = DAL_NUMBER(0.0);
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) balance->reaction[i] = DAL_NUMBER(0.0);
+    status = DAL_KERNEL_PART(linearise)(k, o, of, at, balance, &progress.open);
+    if (status == 0) status = DAL_KERNEL_PART(close)(k, o, of, at, balance, &progress);
+    if (status < 0) return status;
+    dal_flag rest = DAL_AND(progress.solved, DAL_NOT(progress.settled));
+    const int passes = status == 0 && !o->kept ? DAL_MOMENTUM_PASSES : 0;
+    for (int pass = 0; pass < passes && DAL_KERNEL_RARE(DAL_ANY(rest)); pass++)
+        progress.settled = DAL_OR(progress.settled,
+                                  DAL_KERNEL_PART(mend)(k, o, of, at, balance, &rest));
+    const dal_flag made = DAL_AND(DAL_AND(progress.solved, progress.settled),
+                                  DAL_KERNEL_PART(is_finite)(n, at));
+    dal_flag done = made;
+    if (DAL_KERNEL_RARE(!DAL_EVERY(made))) {
+        status = DAL_KERNEL_PART(hand_over)(k, o, at, &progress.solved, &done);
+        if (status) return status;
+        DAL_KERNEL_UNROLL
+        for (size_t i = n; i < 2 * n; i++) /* where finish did it, there is no p */
+            at->low[i] = DAL_TAKE(false, DAL_AND(done, DAL_NOT(made)), DAL_NUMBER(0.0),
+                                  at->low[i]);
+        if (DAL_ANY(made)) DAL_KERNEL_PART(carry)(k, at, balance, made, false);
+    } else {
+        DAL_KERNEL_PART(carry)(k, at, balance, made, true);
+    }
+    const dal_flag before = DAL_NOT(done);
+    k->carried = DAL_OR(made, DAL_AND(before, k->carried));
+    k->forced = DAL_OR(of->late_pushed ? made : DAL_FLAG(false), DAL_AND(before, k->forced));
+    if (DAL_EVERY(done)) DAL_KERNEL_PART(conclude)(k, o, at, done, true);
+    else DAL_KERNEL_PART(conclude)(k, o, at, done, false);
+    k->formed = DAL_KERNEL_MASS && of->known;
+    return DAL_SUCCESS;
+}
+
 /* A stage of step number, counted from 0.  The argument explicit, a constant after inlining, may be
  * true if B = 0: mu(q~') is then that of the node. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel_of *const k, const dal_real number,
@@ -741,43 +789,5 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel_of *const k, const da
     const dal_pattern has = DAL_KERNEL_PATTERN;
     const dal_traits_of o = {.stage = s, .number = number, .has = has, .kept = kept,
                              .t_end = DAL_KERNEL_TIME(k, number, s->t_end)};
-
-    dal_progress_of progress = {.open = DAL_GOING(k), .solved = DAL_FLAG(false),
-                                .settled = DAL_FLAG(false)};
-    int status = DAL_KERNEL_PART(begin)(k, &o, &of, &at, &balance, progress.open);
-    if (status) return status;
-    DAL_KERNEL_PART(extrapolate)(k, &o, &at);
-    DAL_KERNEL_PART(place)(k, s, n, kept, false, &at);
-    DAL_KERNEL_UNROLL
-    for (size_t a = 0; a < m; a++) at.kappa[a] = DAL_NUMBER(0.0);
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) balance.reaction[i] = DAL_NUMBER(0.0);
-    status = DAL_KERNEL_PART(linearise)(k, &o, &of, &at, &balance, &progress.open);
-    if (status == 0) status = DAL_KERNEL_PART(close)(k, &o, &of, &at, &balance, &progress);
-    if (status < 0) return status;
-    dal_flag rest = DAL_AND(progress.solved, DAL_NOT(progress.settled));
-    const int passes = status == 0 && !kept ? DAL_MOMENTUM_PASSES : 0;
-    for (int pass = 0; pass < passes && DAL_KERNEL_RARE(DAL_ANY(rest)); pass++)
-        progress.settled = DAL_OR(progress.settled,
-                                  DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance, &rest));
-    const dal_flag made = DAL_AND(DAL_AND(progress.solved, progress.settled),
-                                  DAL_KERNEL_PART(is_finite)(n, &at));
-    dal_flag done = made;
-    if (DAL_KERNEL_RARE(!DAL_EVERY(made))) {
-        status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &progress.solved, &done);
-        if (status) return status;
-        DAL_KERNEL_UNROLL
-        for (size_t i = n; i < 2 * n; i++) /* where finish did it, there is no p */
-            at.low[i] = DAL_TAKE(false, DAL_AND(done, DAL_NOT(made)), DAL_NUMBER(0.0), at.low[i]);
-        if (DAL_ANY(made)) DAL_KERNEL_PART(carry)(k, &at, &balance, made, false);
-    } else {
-        DAL_KERNEL_PART(carry)(k, &at, &balance, made, true);
-    }
-    const dal_flag before = DAL_NOT(done);
-    k->carried = DAL_OR(made, DAL_AND(before, k->carried));
-    k->forced = DAL_OR(of.late_pushed ? made : DAL_FLAG(false), DAL_AND(before, k->forced));
-    if (DAL_EVERY(done)) DAL_KERNEL_PART(conclude)(k, &o, &at, done, true);
-    else DAL_KERNEL_PART(conclude)(k, &o, &at, done, false);
-    k->formed = DAL_KERNEL_MASS && of.known;
-    return DAL_SUCCESS;
+    return DAL_KERNEL_PART(make_balanced)(k, &o, &of, &at, &balance);
 }

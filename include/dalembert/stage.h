@@ -621,6 +621,44 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel_of *k, const dal_trait
                            DAL_AND(DAL_NOT(made), k->forced));
 }
 
+/* The parts of a stage, in their order. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(make)(dal_kernel_of *k, const dal_traits_of *o,
+                                            const dal_arrays_of *at, dal_real *force1)
+{
+    DAL_KERNEL_SIZES;
+    dal_progress_of progress = {.open = DAL_GOING(k), .solved = DAL_FLAG(false),
+                                .settled = DAL_FLAG(false)};
+    int status = DAL_KERNEL_PART(predict)(k, o, at, force1, progress.open);
+    if (status) return status;
+    DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++) at->kappa[a] = DAL_NUMBER(0.0);
+    status = DAL_KERNEL_PART(factor)(k, o, at, force1, &progress.open);
+    if (status < 0) return status;
+    if (o->apart) {
+        const int kicked = DAL_KERNEL_PART(kick)(k, o, at, force1, progress.open);
+        if (kicked) return kicked;
+        DAL_KERNEL_COPY(n, at->base, at->w);
+    }
+    dal_flag made = DAL_FLAG(false);
+    if (status > 0) {
+        DAL_KERNEL_COPY(n, at->node, at->stored);
+        DAL_KERNEL_COPY(n, at->base, at->goal);
+    } else {
+        status = DAL_KERNEL_PART(iterate)(k, o, at, force1, &progress);
+        if (status < 0) return status;
+        made = DAL_KERNEL_PART(settle)(k, o, at, &progress);
+    }
+    if (DAL_KERNEL_RARE(!DAL_EVERY(made))) {
+        status = DAL_KERNEL_PART(hand_over)(k, o, at, &progress.solved, &made);
+        if (status) return status;
+    }
+    if (DAL_EVERY(made))
+        DAL_KERNEL_PART(commit)(k, o, at, force1, made, progress.solved, true);
+    else
+        DAL_KERNEL_PART(commit)(k, o, at, force1, made, progress.solved, false);
+    return DAL_SUCCESS;
+}
+
 /* A stage of step number, counted from 0, of the active lanes.  The argument plain, a constant
  * after inlining, means moved nodes, and V = 0 or at nodes only.  So code for other cases costs
  * nothing. */
@@ -674,36 +712,5 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel_of *const k, const dal_r
                              .steady = inside || declared,
                              .known = m == 0 || proved || (s->linear && !kept),
                              .apart = plain && DAL_KERNEL_STEADY > 1};
-
-    dal_progress_of progress = {.open = DAL_GOING(k), .solved = DAL_FLAG(false),
-                                .settled = DAL_FLAG(false)};
-    int status = DAL_KERNEL_PART(predict)(k, &o, &at, force1, progress.open);
-    if (status) return status;
-    DAL_KERNEL_UNROLL
-    for (size_t a = 0; a < m; a++) at.kappa[a] = DAL_NUMBER(0.0);
-    status = DAL_KERNEL_PART(factor)(k, &o, &at, force1, &progress.open);
-    if (status < 0) return status;
-    if (o.apart) {
-        const int kicked = DAL_KERNEL_PART(kick)(k, &o, &at, force1, progress.open);
-        if (kicked) return kicked;
-        DAL_KERNEL_COPY(n, at.base, at.w);
-    }
-    dal_flag made = DAL_FLAG(false);
-    if (status > 0) {
-        DAL_KERNEL_COPY(n, at.node, at.stored);
-        DAL_KERNEL_COPY(n, at.base, at.goal);
-    } else {
-        status = DAL_KERNEL_PART(iterate)(k, &o, &at, force1, &progress);
-        if (status < 0) return status;
-        made = DAL_KERNEL_PART(settle)(k, &o, &at, &progress);
-    }
-    if (DAL_KERNEL_RARE(!DAL_EVERY(made))) {
-        status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &progress.solved, &made);
-        if (status) return status;
-    }
-    if (DAL_EVERY(made))
-        DAL_KERNEL_PART(commit)(k, &o, &at, force1, made, progress.solved, true);
-    else
-        DAL_KERNEL_PART(commit)(k, &o, &at, force1, made, progress.solved, false);
-    return DAL_SUCCESS;
+    return DAL_KERNEL_PART(make)(k, &o, &at, force1);
 }
