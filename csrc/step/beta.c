@@ -72,23 +72,23 @@ static size_t plan_stages(const dal_system *system, const dal_substep *substep, 
         const bool pair = !apart && j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0
                           && f + substep[j + 1].fraction != 0.0;
         const double g = pair ? substep[++j].fraction : 0.0;
-        dal_stage s = {.before = (1.0 - beta) * f, .after = beta * f + g, .span = f + g};
+        dal_stage s = {.A = (1.0 - beta) * f, .B = beta * f + g, .span = f + g};
         if (beta == 0.0 && !apart) {
-            s.node = f + g;
+            s.w1 = f + g;
         } else {
-            s.start = beta * f;
-            s.end = (1.0 - beta) * f;
+            s.w0 = beta * f;
+            s.w2 = (1.0 - beta) * f;
         }
         s.t_start = passed;
         s.t_end = passed = j + 1 < count ? passed + s.span : 1.0;
-        s.linear = s.after == 0.0;
-        s.t_node = s.linear ? s.t_end : s.t_start + s.before;
-        s.momentum = momenta && (all || s.end != 0.0);
+        s.linear = s.B == 0.0;
+        s.t_node = s.linear ? s.t_end : s.t_start + s.A;
+        s.momentum = momenta && (all || s.w2 != 0.0);
         ends[stages] = j + 1;
         stage[stages++] = s;
     }
     for (size_t j = 0; j < stages; j++)
-        stage[j].reuse = fmax(fabs(stage[j].end), fabs(stage[(j + 1) % stages].start));
+        stage[j].reuse = fmax(fabs(stage[j].w2), fabs(stage[(j + 1) % stages].w0));
     return stages;
 }
 
@@ -136,14 +136,14 @@ static void plan_predictions(dal_stage *stage, size_t stages)
             const dal_stage *const other = stage + (j + CHANGES * stages * back - back) % stages;
             start -= other->span;
             if (other->momentum != s->momentum || other->kind != s->kind) continue;
-            times[found] = start + other->before;
+            times[found] = start + other->A;
             spans[found++] = other->span;
         }
-        extrapolate(PULLS, times, s->before, 10.0, s->ahead);
-        for (int i = 0; i < PULLS; i++) s->ahead[i] *= s->span / spans[i];
+        extrapolate(PULLS, times, s->A, 10.0, s->predict_3);
+        for (int i = 0; i < PULLS; i++) s->predict_3[i] *= s->span / spans[i];
         for (size_t count = 1; count <= CHANGES; count++) {
-            extrapolate(count, times, s->before, 20.0, s->past[count]);
-            for (size_t i = 0; i < count; i++) s->past[count][i] *= s->span / spans[i];
+            extrapolate(count, times, s->A, 20.0, s->predict_4[count]);
+            for (size_t i = 0; i < count; i++) s->predict_4[count][i] *= s->span / spans[i];
         }
     }
 }
@@ -155,7 +155,7 @@ static void guess(beta *self, const dal_stage *s)
     newton *const solver = &self->newton;
     solver->warm = s->momentum && k->known[s->kind] > 0;
     if (!solver->warm) return;
-    const double *const past = k->history + 4 * s->kind * k->n, weight = s->past[1][0];
+    const double *const past = k->history + 4 * s->kind * k->n, weight = s->predict_4[1][0];
     for (size_t i = 0; i < k->n; i++) solver->rate[i] = weight * past[i] / (s->span * k->h);
     for (size_t a = 0; a < k->m; a++) solver->lambda[a] = k->latest[a] / (k->latest_span * k->h);
 }
@@ -208,7 +208,7 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
         status = dal__mend(mech, t_end, k->shift * k->h, false, x, &relative);
         k->stats.worst_residual = fmax(k->stats.worst_residual, relative);
     } else {
-        const double beta = s->after / s->span, alpha = s->node != 0.0 ? 1.0 : beta;
+        const double beta = s->B / s->span, alpha = s->w1 != 0.0 ? 1.0 : beta;
         memcpy(x, at->x, 2 * size);
         k->stats.full_newtons++;
         if (!self->motion->estimate) status = look_at_rank(k, number, s);
@@ -218,7 +218,7 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
                                   dal_kernel_time(k, number, s->t_start), t_end, alpha, beta,
                                   s->span * k->h, k->kept, x, at->kappa, &k->stats);
     }
-    if (!status && !dal__all_finite(n, at->base)) /* but what the same callbacks give now is */
+    if (!status && !dal__all_finite(n, at->v_known)) /* but what the same callbacks give now is */
         status = dal__fail(&mech->error, DAL_EDOMAIN, "the new state is not finite; try a smaller "
                            "h");
     if (status) return dal_kernel_fail(k, status, DAL_FAILED_FINISH);
@@ -269,7 +269,7 @@ static void reserve_momenta(dal_kernel *k, size_t n, size_t m, size_t kinds, are
 {
     const size_t nn = dal__times(n, n);
     dal_balance *const of = &k->balance;
-    DAL__RESERVE(a, n, &k->momentum, &of->reaction, &of->residual, &of->share, &of->L_v, &of->F,
+    DAL__RESERVE(a, n, &k->momentum, &of->reaction, &of->residual, &of->theta, &of->L_v, &of->F,
                  &of->unit, &of->per_unit);
     DAL__RESERVE(a, nn, &of->L_vq, &of->L_vv, &of->F_q, &of->F_v, &of->K, &of->factors);
     DAL__RESERVE(a, dal__times(m, n), &k->forms);
@@ -289,11 +289,11 @@ static void reserve_kernel(dal_kernel *k, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m, entries = entries_of(system);
     dal_arrays *const at = &k->at;
-    double **const vectors[] = {&k->force0, &k->force1, &at->base, &at->goal, &at->step,
-                                &at->seen, &at->stored, &at->from, &at->lead, &at->push};
+    double **const vectors[] = {&k->force0, &k->force1, &at->v_known, &at->v_free, &at->step,
+                                &at->seen, &at->stored, &at->from, &at->dq_known, &at->dv_known};
     double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
     dal__reserve(a, &at->x, dal__times(10, n) + dal__times(3, entries), sizeof(double));
-    dal__reserve(a, &at->move, dal__times(2, n), sizeof(double));
+    dal__reserve(a, &at->dx, dal__times(2, n), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(3, n), sizeof(double)); /* m <= n */
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
@@ -307,7 +307,7 @@ static void reserve_kernel(dal_kernel *k, const dal_system *system, arena *a)
 static bool acts_beside_nodes(const beta *self)
 {
     for (size_t j = 0; j < self->kernel.stages; j++)
-        if (self->stage[j].start != 0.0 || self->stage[j].end != 0.0) return true;
+        if (self->stage[j].w0 != 0.0 || self->stage[j].w2 != 0.0) return true;
     return false;
 }
 
@@ -318,7 +318,7 @@ static bool is_steady(const beta *self, const dal_system *system)
     bool ends = false; /* V acts at some q~' */
     const bool pulled = k->potential || k->at.dragged;
     for (size_t j = 0; j < k->stages; j++)
-        if (self->stage[j].end != 0.0) ends = true;
+        if (self->stage[j].w2 != 0.0) ends = true;
     return system->def.steady && !k->kept && !dal__has_momenta(system) && !(pulled && ends);
 }
 
@@ -387,14 +387,14 @@ static void bind_kernel(beta *self, dal_motion *motion)
     const bool pulled = k->potential || k->at.dragged;
     k->plain = !k->kept && !(pulled && acts_beside_nodes(self));
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
-    dal_kernel_share(k, entries_of(system), k->at.x);
+    dal_kernel_layout(k, entries_of(system), k->at.x);
     k->impulse = motion->impulse;
     k->finish = finish;
     k->look = look;
     k->steady = is_steady(self, system) ? system->def.steady : 0;
-    k->turns = system->def.steady == DAL_STEADY_DECLARED
+    k->constant_rate = system->def.steady == DAL_STEADY_DECLARED
             || system->def.steady == DAL_STEADY_CONSTANT_RATE;
-    k->balance.known = k->at.base;
+    k->balance.known = k->at.v_known;
     motion->x = k->at.x;
     motion->stats = &k->stats;
 }
@@ -533,11 +533,11 @@ static size_t save(const void *method, double *values)
     double *const vectors = values + flags;
     const bool forced = is_forced(self);
     memset(values, 0, count * sizeof *values);
-    values[0] = k->pulled;
+    values[0] = k->history_known;
     values[1] = forced;
     values[2] = k->carried;
     for (size_t i = 0; i < k->kinds; i++) values[3 + i] = k->known[i];
-    memcpy(vectors, k->at.pull, 5 * n * sizeof *values); /* and low */
+    memcpy(vectors, k->at.dv_history, 5 * n * sizeof *values); /* and residue */
     if (forced) memcpy(vectors + 5 * n, k->force0, n * sizeof *values);
     if (k->carried) memcpy(vectors + 6 * n, k->momentum, n * sizeof *values);
     for (size_t i = 0; i < k->kinds; i++)
@@ -567,11 +567,11 @@ static void restore(void *method, const double *values)
     const double *const vectors = values + 3 + k->kinds;
     if (isfinite(k->range[1])) take_range(k, self->motion); /* else the steps look by themselves */
     dal__copy(self->motion->system->def.inputs, k->input, self->input);
-    k->pulled = values[0] != 0.0;
+    k->history_known = values[0] != 0.0;
     k->forced = values[1] != 0.0;
     k->carried = values[2] != 0.0;
     for (size_t i = 0; i < k->kinds; i++) k->known[i] = (unsigned char)values[3 + i];
-    memcpy(k->at.pull, vectors, 5 * n * sizeof *values);
+    memcpy(k->at.dv_history, vectors, 5 * n * sizeof *values);
     memcpy(k->force0, vectors + 5 * n, n * sizeof *values);
     if (!k->momentum) return;
     memcpy(k->momentum, vectors + 6 * n, n * sizeof *values);

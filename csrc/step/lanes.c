@@ -57,7 +57,7 @@ size_t dal__lanes_width(const dal_system *system, const dal_scheme *scheme)
 {
     const bool moved = scheme->nodes == DAL_MOVED_NODES && !scheme->family;
     const dal_lanes_routine *const routine = moved ? find_routine(system, 0) : NULL;
-    return routine ? DAL_LANES_TURNS * routine->vector : 0;
+    return routine ? DAL_LANES_INTERLEAVED * routine->vector : 0;
 }
 
 int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error)
@@ -74,7 +74,8 @@ int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error
     dal__lanes shape = {.system = system, .routine = routine, .n = n, .m = m, .width = width,
                         .places = dal_lanes_layout_of(n, m, momenta, kinds, routine->parameters,
                                                       routine->inputs)};
-    shape.block = (dal_lanes_block){.stages = k->stages, .plain = k->plain, .turns = k->turns,
+    shape.block = (dal_lanes_block){.stages = k->stages, .plain = k->plain,
+                                    .constant_rate = k->constant_rate,
                                     .steady = k->steady, .momenta = momenta, .kinds = kinds,
                                     .parameters = routine->parameters, .inputs = routine->inputs};
     dal__lanes *self;
@@ -107,7 +108,7 @@ size_t dal__lanes_use(dal__lanes *lanes, size_t vector)
     const dal_lanes_routine *const routine = find_routine(lanes->system, vector);
     if (!routine) return 0;
     lanes->routine = routine; /* the memory is for the widest */
-    lanes->width = DAL_LANES_TURNS * routine->vector;
+    lanes->width = DAL_LANES_INTERLEAVED * routine->vector;
     for (size_t lane = 0; lane < lanes->width; lane++) lanes->member[lane].loaded = false;
     dal__lanes_stop(lanes);
     return lanes->width;
@@ -179,13 +180,13 @@ static void put(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
     if (k->mass_inverse && lanes->block.momenta) write(lanes, lane, to->mass, n * n, k->mass);
     write(lanes, lane, to->inputs, lanes->block.inputs, k->input);
     write(lanes, lane, to->parameters, lanes->block.parameters, stepper->motion.system->def.ctx);
-    *at(lanes, lane, to->pulled) = k->pulled;
+    *at(lanes, lane, to->history_known) = k->history_known;
     *at(lanes, lane, to->forced) = k->forced;
     *at(lanes, lane, to->number) = (double)stepper->motion.steps;
     *at(lanes, lane, to->worst) = k->stats.worst_residual;
     write(lanes, lane, to->x, 2 * n, k->at.x);
-    write(lanes, lane, to->pull, 3 * n, k->at.pull);
-    write(lanes, lane, to->low, 2 * n, k->at.low);
+    write(lanes, lane, to->dv_history, 3 * n, k->at.dv_history);
+    write(lanes, lane, to->residue, 2 * n, k->at.residue);
     if (k->forced) write(lanes, lane, to->force, n, k->force0);
     write(lanes, lane, to->impulse, lanes->m, k->impulse);
     if (lanes->block.momenta) put_momenta(lanes, lane, k);
@@ -257,7 +258,7 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     k->stats.worst_residual = *at(lanes, lane, from->worst);
     k->stats.iterations += counter(lanes, lane, from->counts + DAL_LANES_ITERATIONS);
     k->stats.constraint_calls += counter(lanes, lane, from->counts + DAL_LANES_CONSTRAINTS);
-    const size_t calls = counter(lanes, lane, from->counts + DAL_LANES_PULLS);
+    const size_t calls = counter(lanes, lane, from->counts + DAL_LANES_FORCES);
     if (def->potential) k->stats.potential_calls += calls;
     if (def->force) k->stats.force_calls += calls;
     if (def->lagrangian) k->stats.lagrangian_calls += calls;
@@ -270,12 +271,12 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     k->h = motion->h = *at(lanes, lane, from->h);
     read(lanes, lane, from->range, 2, k->range);
     dal_kernel_forget(k);
-    k->pulled = *at(lanes, lane, from->pulled) != 0.0;
+    k->history_known = *at(lanes, lane, from->history_known) != 0.0;
     dal__beta_take_inputs(stepper);
     k->forced = *at(lanes, lane, from->forced) != 0.0;
     read(lanes, lane, from->x, 2 * n, k->at.x);
-    read(lanes, lane, from->pull, 3 * n, k->at.pull);
-    read(lanes, lane, from->low, 2 * n, k->at.low);
+    read(lanes, lane, from->dv_history, 3 * n, k->at.dv_history);
+    read(lanes, lane, from->residue, 2 * n, k->at.residue);
     read(lanes, lane, from->force, n, k->force0);
     dal__lanes_impulse(lanes, lane, k->impulse);
     if (lanes->block.momenta) take_momenta(lanes, lane, k);

@@ -7,16 +7,17 @@
 /* The vectors and matrices of a stage. */
 typedef struct DAL_ARRAYS(arrays) {
     dal_real *x;                  /* [2n] the state */
-    dal_real *pull;               /* [3n] the pulls of the last stages, the latest first */
-    dal_real *low;                /* [2n] rounding error of x: the exact sum is x + low */
+    dal_real *dv_history;         /* [3n] the unknown parts of v' - v, the latest stage first */
+    dal_real *residue;            /* [2n] rounding error of x: the exact sum is x + residue */
     dal_real *node, *point, *w;   /* [n] q_k, q~' of the last evaluation, the current v' */
     dal_real *mu_node, *mu, *N;   /* [m*n] */
-    dal_real *base, *goal, *step; /* [n] the known part of v', all of it but Z^T kappa, w' - w */
+    dal_real *v_known, *v_free;   /* [n] the known part of v', and all of it but Z^T kappa */
+    dal_real *step;               /* [n] w' - w */
     dal_real *seen;               /* [n] the v' at whose q~' mu was evaluated last */
     dal_real *stored;             /* [n] the position of the new state */
-    dal_real *from;               /* [n] q_k including low */
-    dal_real *lead, *push;        /* [n] the known part of q~' - q~ and of v' - v, and low */
-    dal_real *move;               /* [2n] q~' - q~ and v' - v, before they are rounded to x' */
+    dal_real *from;               /* [n] q_k including residue */
+    dal_real *dq_known, *dv_known; /* [n] the known part of q~' - q~ and of v' - v, with residue */
+    dal_real *dx;                 /* [2n] q~' - q~ and v' - v, before they are rounded to x' */
     dal_real *Z;                  /* [m*n] row a is M^-1 mu_node^a */
     dal_real *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
     dal_exchange *row;            /* [m] of lu.h; in lanes [m*m] */
@@ -37,7 +38,7 @@ typedef struct DAL_ARRAYS(masses) {
 typedef struct DAL_ARRAYS(balance) {
     dal_real *known;               /* [n] the part of p' that is known at the start */
     dal_real *reaction, *residual; /* [n] mu_k^T kappa; the residual of the balance */
-    dal_real *share;               /* [n] fraction of the residual that is momentum */
+    dal_real *theta;               /* [n] fraction of the residual that is momentum */
     dal_real *phi;                 /* [m] */
     dal_real *L_v, *F;             /* [n] at the last evaluation, F = L_q + f */
     dal_real *unit, *per_unit;     /* [n] of residual.h for L_vv */
@@ -52,11 +53,10 @@ typedef struct DAL_ARRAYS(traits) {
     dal_real t_end;  /* time of the end of the stage */
     dal_pattern has;
     bool plain, kept, potential, steady;
-    bool turns; /* as in dal_kernel, for moved nodes */
+    bool constant_rate; /* as in dal_kernel, for moved nodes */
     bool ends;  /* V_q acts at the unknown q~' */
     bool known; /* mu(q~') needs no evaluation */
-    bool apart; /* V_q is not needed either: it is evaluated after S, which need not wait for the
-                   state */
+    bool force_after_S; /* nor is V_q: it is evaluated after S, which need not wait for the state */
 } DAL_ARRAYS(traits);
 
 /* The additional properties of a stage of momentum.h. */

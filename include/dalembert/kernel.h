@@ -18,11 +18,10 @@
  *
  * Solution.  Newton's iteration for (v', kappa) without the Hessian of V needs one m x m matrix
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
- * factored once a stage at the predicted velocity.  The pull is the part of v' - v that is not
- * known in advance: M^-1 mu^T kappa, and V_q if it acts at q~'.  It is predicted from the pulls of
- * the three stages before, so these two evaluations of the constraint are independent.  After a
- * correction mu is evaluated at the q~' recovered from the *stored* state, unless only V_q still
- * changes.
+ * factored once a stage at the predicted velocity.  The unknown part of v' - v is M^-1 mu^T kappa,
+ * and V_q if it acts at q~'.  It is predicted from those of the three stages before, so these two
+ * evaluations of the constraint are independent.  After a correction mu is evaluated at the q~'
+ * recovered from the *stored* state, unless only V_q still changes.
  *
  * The stage is complete when the residual of D there (residual.h) is at most half of its bound of 4
  * n u.  Otherwise this evaluation serves the next correction.  If the residual is a rounding of v'
@@ -34,8 +33,8 @@
  * It also completes a stage with det S < 0.  As h goes to 0, det S tends to the positive
  * determinant of mu M^-1 mu^T; a change of sign means that the solution is spurious.
  *
- * The array low is the rounding error of x (compensated summation): the exact sum is x + low.
- * Every stage starts from x + low; predictions use x alone, so they do not wait for low.
+ * The array residue is the rounding error of x (compensated summation): the exact sum is x +
+ * residue.  Every stage starts from it; predictions use x alone, so they do not wait for residue.
  *
  * In a steady system mu depends only on coordinates on which no constraint force acts (a blade with
  * a free heading).  If V does not act at q~' either, mu(q~') is known before v'.  The equations are
@@ -77,16 +76,16 @@
 #include <stddef.h>
 
 typedef struct dal_stage {
-    double before, after;    /* A, B */
-    double start, node, end; /* weights of V_q at q~, q_k, q~' */
+    double A, B;
+    double w0, w1, w2;       /* weights of V_q at q~, q_k, q~' */
     double span;             /* A + B */
     double t_start, t_node, t_end; /* times of q~, q_k, q~' since the step began, in units of h */
     bool linear;             /* B = 0: mu(q~') is mu(q_k) */
     double reuse;            /* largest weight of V_q(q~'), here or as start of the next stage */
-    double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
+    double predict_3[3];     /* weights of the last unknown parts of v' - v in the next */
     bool momentum;           /* a stage of momentum.h; then V_q stands for -(L_q + f), and */
     size_t kind;             /* which of its stages have the same beta */
-    double past[5][4];       /* weights of the last changes of v, by how many there are */
+    double predict_4[5][4];  /* weights of the last changes of v, by how many there are */
 } dal_stage;
 
 /* Masks of the entries that may be nonzero: bit a*n + i for entry (a, i), so n <= 8; or
@@ -95,7 +94,7 @@ typedef struct dal_pattern {
     unsigned long long inverse; /* M^-1 */
     unsigned long long mu, Z;   /* and Z = mu M^-1 */
     unsigned long long N;
-    unsigned long long pull;    /* [n] entries of v' not known in advance, because of Z, or V_q at
+    unsigned long long dv;      /* [n] entries of v' not known in advance, because of Z, or V_q at
                                    q~' */
     unsigned long long kick;    /* [n] M^-1 V_q */
     unsigned long long one;     /* [n] coordinates with mass 1 that M does not couple with others */
@@ -141,7 +140,7 @@ struct dal_kernel {
     const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;
     int steady;   /* a dal_steady if V acts at no q~', else 0 */
-    bool turns;   /* coordinates that mu depends on may move uniformly, see dal_kernel_leave */
+    bool constant_rate; /* coordinates that mu depends on may move uniformly, see stage.h */
     size_t stages;
     const dal_stage *stage;
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
@@ -169,7 +168,7 @@ struct dal_kernel {
                               over the */
     double *estimate;      /* states Y_i between the stages of a step, [2n]; or NULL */
     double *impulse;       /* [m] sum of kappa since dal_advance began */
-    bool pulled;           /* the history of pulls is known */
+    bool history_known;    /* dv_history is known */
     bool forced;           /* force0 is known */
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
     bool carried;          /* momentum is known */
@@ -181,8 +180,9 @@ struct dal_kernel {
     size_t kinds;
     unsigned char *known;           /* number of known v' - v for each kind */
 
-    /* The arrays from at.x to at.N are one block, divided by dal_kernel_share.  So the step routine
-     * reaches its parts by constant offsets, and callbacks see the same addresses at every call. */
+    /* The arrays from at.x to at.N are one block, divided by dal_kernel_layout.  So the step
+     * routine reaches its parts by constant offsets, and callbacks see the same addresses at every
+     * call. */
     dal_arrays at;
     dal_balance balance;
     double *saved;         /* [2n+m] x and impulse before a step of several stages */
@@ -217,24 +217,24 @@ enum { DAL_KERNEL_AGAIN = 2 };
 
 #if defined(__GNUC__)
 #define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
-#define DAL_KERNEL_APART static __attribute__((noinline, unused))
+#define DAL_KERNEL_NOINLINE static __attribute__((noinline, unused))
 #define DAL_KERNEL_RARE(condition) __builtin_expect(!!(condition), 0)
 #else
-#define DAL_KERNEL_APART static
+#define DAL_KERNEL_NOINLINE static
 #define DAL_KERNEL_INLINE static inline
 #define DAL_KERNEL_RARE(condition) (condition)
 #endif
 
 /* Divides block[10*n + 3*entries] into x ... N, with entries the number of entries of mu. */
-static inline void dal_kernel_share(dal_kernel *k, size_t entries, double *block)
+static inline void dal_kernel_layout(dal_kernel *k, size_t entries, double *block)
 {
     const size_t n = k->n;
     k->at.x = block;
     k->at.node = block + 2 * n;
     k->at.point = block + 3 * n;
     k->at.w = block + 4 * n;
-    k->at.pull = block + 5 * n;
-    k->at.low = block + 8 * n;
+    k->at.dv_history = block + 5 * n;
+    k->at.residue = block + 8 * n;
     k->at.mu_node = block + 10 * n;
     k->at.mu = k->at.mu_node + entries;
     k->at.N = k->at.mu + entries;
@@ -300,20 +300,20 @@ static inline void dal_kernel_estimate(dal_kernel *k, size_t index, size_t n, co
 /* The predictor for steps of another size, ratio times the last. */
 static inline void dal_kernel_rescale(dal_kernel *k, double ratio)
 {
-    for (size_t i = 0; i < 3 * k->n; i++) k->at.pull[i] *= ratio;
+    for (size_t i = 0; i < 3 * k->n; i++) k->at.dv_history[i] *= ratio;
     for (size_t i = 0; i < 4 * k->n * k->kinds; i++) k->history[i] *= ratio;
     for (size_t a = 0; k->kinds > 0 && a < k->m; a++) k->latest[a] *= ratio;
 }
 
-/* The state of the predictor, as after a start; and low. */
+/* The state of the predictor, as after a start; and residue. */
 static inline void dal_kernel_forget(dal_kernel *k)
 {
-    k->pulled = false;
+    k->history_known = false;
     k->forced = false;
     k->carried = false;
     for (size_t i = 0; i < k->kinds; i++) k->known[i] = 0;
-    for (size_t i = 0; i < 3 * k->n; i++) k->at.pull[i] = 0.0;
-    for (size_t i = 0; i < 2 * k->n; i++) k->at.low[i] = 0.0;
+    for (size_t i = 0; i < 3 * k->n; i++) k->at.dv_history[i] = 0.0;
+    for (size_t i = 0; i < 2 * k->n; i++) k->at.residue[i] = 0.0;
 }
 
 #endif /* DALEMBERT_KERNEL_H */
@@ -328,20 +328,20 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #ifdef DAL_KERNEL_CONSTRAINT
 #define DAL_KERNEL_INSIDE 1
 #ifdef DAL_KERNEL_POTENTIAL
-#define DAL_KERNEL_PULLED true
+#define DAL_KERNEL_HAS_FORCE true
 #define DAL_KERNEL_PLAIN false
 #else
 #ifdef DAL_KERNEL_MOMENTA
-#define DAL_KERNEL_PULLED true
+#define DAL_KERNEL_HAS_FORCE true
 #else
-#define DAL_KERNEL_PULLED false
+#define DAL_KERNEL_HAS_FORCE false
 #endif
-#define DAL_KERNEL_PLAIN (!DAL_KERNEL_PULLED)
+#define DAL_KERNEL_PLAIN (!DAL_KERNEL_HAS_FORCE)
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) 0
 #endif
 #elif defined(DAL_KERNEL_MOMENTA)
 #define DAL_KERNEL_INSIDE 0
-#define DAL_KERNEL_PULLED true
+#define DAL_KERNEL_HAS_FORCE true
 #define DAL_KERNEL_KIND(k) (k)->kind
 #define DAL_KERNEL_FORMS(k, t, q, v, phi, mu, N) dal_kernel_forms(k, t, q, v, phi, mu, N)
 #define DAL_KERNEL_BALANCE(k, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v) \
@@ -353,7 +353,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) 0 /* force0 is always known before */
 #else
 #define DAL_KERNEL_INSIDE 0
-#define DAL_KERNEL_PULLED ((k)->potential != NULL)
+#define DAL_KERNEL_HAS_FORCE ((k)->potential != NULL)
 #define DAL_KERNEL_PLAIN false
 #define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) dal_kernel_constraint(k, t, q, v, mu, N)
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) dal_kernel_potential(k, t, q, V_q)
@@ -414,7 +414,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_START(k, t, q, v, L_v, F) DAL_KERNEL_START(k, t, q, v, L_v, F)
 #define DAL_COUNT_START(counts, which)
 /* the weights of the last changes of v; and one more of them is known */
-#define DAL_WEIGHTS(name, k, s) const double *const name = (s)->past[(k)->known[(s)->kind]]
+#define DAL_WEIGHTS(name, k, s) const double *const name = (s)->predict_4[(k)->known[(s)->kind]]
 #define DAL_KNOW_ONE_MORE(k, kind, which) \
     ((k)->known[kind] = (unsigned char)((k)->known[kind] + ((k)->known[kind] < 4)))
 #define DAL_FRESH(name, size, old) dal_real *const name = (old) /* for results of some lanes */
@@ -422,8 +422,8 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_TALLY(name) bool *const name = NULL
 #endif
 
-#define DAL_KERNEL_TURNS(k) \
-    (DAL_KERNEL_STEADY > 1 || (DAL_KERNEL_STEADY < 0 && (k)->turns))
+#define DAL_KERNEL_CONSTANT_RATE(k) \
+    (DAL_KERNEL_STEADY > 1 || (DAL_KERNEL_STEADY < 0 && (k)->constant_rate))
 
 #define DAL_KERNEL_PART(name) DAL_KERNEL_JOIN(DAL_KERNEL, _##name)
 #define DAL_KERNEL_COPY DAL_KERNEL_PART(copy)
@@ -532,7 +532,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits
     *solved = *solved && DAL_KERNEL_PART(is_finite)(n, at);
     DAL_KERNEL_COPY(2 * n, at->x, k->at.x);
     DAL_KERNEL_COPY(n, at->w, k->at.w);
-    DAL_KERNEL_COPY(n, at->base, k->at.base);
+    DAL_KERNEL_COPY(n, at->v_known, k->at.v_known);
     DAL_KERNEL_COPY(n, at->stored, k->at.stored);
     const int status = k->finish(k, o->number, o->stage, *solved);
     if (status) return status;
@@ -540,8 +540,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits
     DAL_KERNEL_COPY(n, k->at.stored, at->stored);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) { /* finish rounds, and does not say how */
-        at->move[i] = at->stored[i] - at->x[i];
-        at->move[n + i] = at->w[i] - at->x[n + i];
+        at->dx[i] = at->stored[i] - at->x[i];
+        at->dx[n + i] = at->w[i] - at->x[n + i];
     }
     if (!*solved) DAL_KERNEL_COPY(m, k->at.kappa, at->kappa);
     *made = true;
@@ -556,30 +556,30 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits
 #if DAL_KERNEL_INSIDE && !DAL_KERNEL_LANES
 #define DAL_KERNEL_WHOLE DAL_KERNEL_INLINE
 #else
-#define DAL_KERNEL_WHOLE DAL_KERNEL_APART
+#define DAL_KERNEL_WHOLE DAL_KERNEL_NOINLINE
 #endif
 
 DAL_KERNEL_WHOLE int DAL_KERNEL_PART(stage_in_general)(dal_kernel_of *k, dal_real number,
                                                        const dal_stage *s,
                                                        const dal_masses_of *masses, dal_real *x,
-                                                       dal_real *pull)
+                                                       dal_real *dv_history)
 {
-    return DAL_KERNEL_PART(stage)(k, number, s, false, masses, x, pull);
+    return DAL_KERNEL_PART(stage)(k, number, s, false, masses, x, dv_history);
 }
 
 #ifndef DAL_KERNEL_MOMENTA
 DAL_KERNEL_WHOLE int DAL_KERNEL_PART(plain_stage)(dal_kernel_of *k, dal_real number,
                                                   const dal_stage *s, const dal_masses_of *masses,
-                                                  dal_real *x, dal_real *pull)
+                                                  dal_real *x, dal_real *dv_history)
 {
-    return DAL_KERNEL_PART(stage)(k, number, s, true, masses, x, pull);
+    return DAL_KERNEL_PART(stage)(k, number, s, true, masses, x, dv_history);
 }
 #endif
 
 #ifdef DAL_KERNEL_MOMENTA
 /* From k->at.x: momentum <- L_v in some lanes, and force0 <- -F in others. */
-DAL_KERNEL_APART int DAL_KERNEL_PART(push)(dal_kernel_of *k, dal_real number, const dal_stage *s,
-                                           dal_flag momenta, dal_flag forces)
+DAL_KERNEL_NOINLINE int DAL_KERNEL_PART(push)(dal_kernel_of *k, dal_real number, const dal_stage *s,
+                                              dal_flag momenta, dal_flag forces)
 {
     DAL_KERNEL_SIZES;
     const dal_real *const x = k->at.x, shift = (k->kept ? k->shift : 0.0) * k->h;
@@ -600,38 +600,38 @@ DAL_KERNEL_APART int DAL_KERNEL_PART(push)(dal_kernel_of *k, dal_real number, co
 
 DAL_KERNEL_WHOLE int DAL_KERNEL_PART(momentum_stage)(dal_kernel_of *k, dal_real number,
                                                      const dal_stage *s, dal_real *x,
-                                                     dal_real *low)
+                                                     dal_real *residue)
 {
-    return DAL_KERNEL_PART(momentum)(k, number, s, !DAL_KERNEL_INSIDE && s->linear, x, low);
+    return DAL_KERNEL_PART(momentum)(k, number, s, !DAL_KERNEL_INSIDE && s->linear, x, residue);
 }
 
 /* A stage of either kind. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel_of *k, dal_real number,
                                                        const dal_stage *s,
                                                        const dal_masses_of *masses, dal_real *x,
-                                                       dal_real *pull)
+                                                       dal_real *dv_history)
 {
     DAL_KERNEL_SIZES;
     /* with callbacks inside, values known at the node need not be computed again if that is a
        constant */
     if (DAL_KERNEL_INSIDE && !DAL_KERNEL_MASS)
-        return DAL_KERNEL_PART(momentum)(k, number, s, false, x, pull + 3 * n);
+        return DAL_KERNEL_PART(momentum)(k, number, s, false, x, dv_history + 3 * n);
     if (DAL_KERNEL_INSIDE && s->momentum && s->linear)
-        return DAL_KERNEL_PART(momentum)(k, number, s, true, x, pull + 3 * n);
-    if (s->momentum) return DAL_KERNEL_PART(momentum_stage)(k, number, s, x, pull + 3 * n);
+        return DAL_KERNEL_PART(momentum)(k, number, s, true, x, dv_history + 3 * n);
+    if (s->momentum) return DAL_KERNEL_PART(momentum_stage)(k, number, s, x, dv_history + 3 * n);
     int status = DAL_SUCCESS;
     const dal_flag going = DAL_GOING(k), of_p = DAL_AND(going, k->carried);
-    for (size_t i = 4 * n; DAL_ANY(of_p) && i < 5 * n; i++) /* low of p is none of v */
-        pull[i] = DAL_TAKE(false, of_p, DAL_NUMBER(0.0), pull[i]);
+    for (size_t i = 4 * n; DAL_ANY(of_p) && i < 5 * n; i++) /* residue of p is none of v */
+        dv_history[i] = DAL_TAKE(false, of_p, DAL_NUMBER(0.0), dv_history[i]);
     const dal_flag unknown = DAL_AND(going, DAL_NOT(k->forced));
-    if (DAL_KERNEL_RARE(s->start != 0.0 && DAL_ANY(unknown))) {
+    if (DAL_KERNEL_RARE(s->w0 != 0.0 && DAL_ANY(unknown))) {
         if (!DAL_KERNEL_LANES) DAL_KERNEL_COPY(2 * n, x, k->at.x);
         status = DAL_KERNEL_PART(push)(k, number, s, DAL_FLAG(false), unknown);
         if (status) return status;
         DAL_COUNT_START(k->stats.counts, unknown);
         k->forced = DAL_OR(k->forced, unknown);
     }
-    status = DAL_KERNEL_PART(stage_in_general)(k, number, s, masses, x, pull);
+    status = DAL_KERNEL_PART(stage_in_general)(k, number, s, masses, x, dv_history);
     k->carried = DAL_AND(k->carried, DAL_NOT(going));
     k->formed = false;
     return status;
@@ -661,11 +661,11 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const dal_masses masses = {k->mass_inverse, k->unit, k->per_unit};
 #endif
 #if DAL_KERNEL_INSIDE
-    double x[2 * DAL_N], pull[5 * DAL_N]; /* and low */
+    double x[2 * DAL_N], dv_history[5 * DAL_N]; /* and residue */
     DAL_KERNEL_COPY(2 * n, k->at.x, x);
-    DAL_KERNEL_COPY(5 * n, k->at.pull, pull);
+    DAL_KERNEL_COPY(5 * n, k->at.dv_history, dv_history);
 #else
-    double *const x = k->at.x, *const pull = x + 5 * n;
+    double *const x = k->at.x, *const dv_history = x + 5 * n;
 #endif
     /* one loop for steps and stages: two would carry the state through memory */
     while (number < last) {
@@ -675,12 +675,12 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         }
 #ifdef DAL_KERNEL_MOMENTA
         if (s == k->stage) k->formed = false;
-        status = DAL_KERNEL_PART(stage_of_either)(k, number, s, &masses, x, pull);
+        status = DAL_KERNEL_PART(stage_of_either)(k, number, s, &masses, x, dv_history);
 #else
         if (DAL_KERNEL_PLAIN || k->plain)
-            status = DAL_KERNEL_PART(plain_stage)(k, number, s, &masses, x, pull);
+            status = DAL_KERNEL_PART(plain_stage)(k, number, s, &masses, x, dv_history);
         else
-            status = DAL_KERNEL_PART(stage_in_general)(k, number, s, &masses, x, pull);
+            status = DAL_KERNEL_PART(stage_in_general)(k, number, s, &masses, x, dv_history);
 #endif
         if (status) break;
         if (DAL_KERNEL_RARE(k->estimate != NULL))
@@ -691,7 +691,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     }
 #if DAL_KERNEL_INSIDE
     DAL_KERNEL_COPY(2 * n, x, k->at.x);
-    DAL_KERNEL_COPY(5 * n, pull, k->at.pull);
+    DAL_KERNEL_COPY(5 * n, dv_history, k->at.dv_history);
 #endif
     if (status && stages > 1) {
         DAL_KERNEL_COPY(2 * n, k->saved, k->at.x);
@@ -752,7 +752,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_KERNEL_LANES
 #undef DAL_KERNEL_INSIDE
 #undef DAL_KERNEL_WHOLE
-#undef DAL_KERNEL_PULLED
+#undef DAL_KERNEL_HAS_FORCE
 #undef DAL_KERNEL_PLAIN
 #undef DAL_KERNEL_SHARED
 #undef DAL_KERNEL_SIZES
@@ -762,7 +762,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_KERNEL_COPY
 #undef DAL_KERNEL_PART
 #undef DAL_KERNEL_STEADY
-#undef DAL_KERNEL_TURNS
+#undef DAL_KERNEL_CONSTANT_RATE
 #undef DAL_KERNEL_PATTERN
 #undef DAL_KERNEL_CONSTRAINT
 #undef DAL_KERNEL_POTENTIAL

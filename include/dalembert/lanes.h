@@ -19,7 +19,7 @@
  *     DAL_N, DAL_M                the sizes, DAL_N <= 8
  *     DAL_LANES_PATTERN, DAL_LANES_STEADY   as those of kernel.h, both needed
  *     DAL_LANES_CONSTRAINT(t, q, v, phi, mu, N, u, p)   unless DAL_M is 0; phi, mu or N may be NULL
- *     DAL_LANES_PULL(t, q, V_q, u, p)                   where there is a V
+ *     DAL_LANES_FORCE(t, q, V_q, u, p)                   where there is a V
  *     DAL_LANES_BALANCE(t, q, v, L_v, F, L_vq, L_vv, F_q, F_v, u, p)   for stages of momentum.h,
  *                                 with DAL_LANES_MASS and DAL_LANES_KIND, as those of kernel.h
  * and includes it again.  That makes the function DAL_LANES(advance), a dal_lanes_fn.  All of it
@@ -31,32 +31,32 @@
 
 #include <stdint.h>
 
-/* Vectors that take turns in making a stage, so that one need not wait for its own results.
+/* Vectors whose stages alternate, so that one need not wait for its own results.
  * Measured: worth a third with AVX2. */
-enum { DAL_LANES_TURNS = 2 };
+enum { DAL_LANES_INTERLEAVED = 2 };
 
-/* The common data of all lanes, and the numbers of the lanes: DAL_LANES_TURNS times as many vectors
- * as dal_lanes_layout says; and as many for a step of several stages. */
+/* The common data of all lanes, and the numbers of the lanes: DAL_LANES_INTERLEAVED times as many
+ * vectors as dal_lanes_layout says; and as many for a step of several stages. */
 typedef struct dal_lanes_block {
     const dal_stage *stage;
     size_t stages;
-    bool plain, turns; /* as of a dal_kernel */
-    bool momenta;      /* the system has stages of momentum.h */
+    bool plain, constant_rate; /* as of a dal_kernel */
+    bool momenta;              /* the system has stages of momentum.h */
     int steady;
     size_t kinds, parameters, inputs;
     double *numbers, *saved;
 } dal_lanes_block;
 
 /* The operations of this routine that are counted. */
-enum { DAL_LANES_ITERATIONS, DAL_LANES_CONSTRAINTS, DAL_LANES_PULLS, DAL_LANES_COUNTED };
+enum { DAL_LANES_ITERATIONS, DAL_LANES_CONSTRAINTS, DAL_LANES_FORCES, DAL_LANES_COUNTED };
 
 /* The places of the vectors of a lane.  A flag is 1 or 0. */
 typedef struct dal_lanes_layout {
     size_t t0, h, range, mass, mass_inverse, unit, per_unit, parameters, inputs; /* given */
-    size_t going, pulled, forced, carried;                                       /* flags */
+    size_t going, history_known, forced, carried;                                /* flags */
     size_t number, worst;  /* of the step; residual */
     size_t counts;         /* [DAL_LANES_COUNTED] */
-    size_t x, pull, low, force, impulse, momentum, latest, latest_span, history, known;
+    size_t x, dv_history, residue, force, impulse, momentum, latest, latest_span, history, known;
     size_t end; /* after the vectors that a step changes */
     size_t forms, point;
     size_t count; /* of all */
@@ -84,15 +84,15 @@ static inline dal_lanes_layout dal_lanes_layout_of(size_t n, size_t m, bool mome
     at.parameters = dal_lanes_next(&at, parameters);
     at.inputs = dal_lanes_next(&at, inputs);
     at.going = dal_lanes_next(&at, 1);
-    at.pulled = dal_lanes_next(&at, 1);
+    at.history_known = dal_lanes_next(&at, 1);
     at.forced = dal_lanes_next(&at, 1);
     at.carried = dal_lanes_next(&at, 1);
     at.number = dal_lanes_next(&at, 1);
     at.worst = dal_lanes_next(&at, 1);
     at.counts = dal_lanes_next(&at, DAL_LANES_COUNTED);
     at.x = dal_lanes_next(&at, 2 * n);
-    at.pull = dal_lanes_next(&at, 3 * n);
-    at.low = dal_lanes_next(&at, 2 * n);
+    at.dv_history = dal_lanes_next(&at, 3 * n);
+    at.residue = dal_lanes_next(&at, 2 * n);
     at.force = dal_lanes_next(&at, n);
     at.impulse = dal_lanes_next(&at, m);
     at.momentum = dal_lanes_next(&at, some * n);
@@ -163,13 +163,13 @@ DAL_KERNEL_INLINE bool DAL_LANES(any)(dal_mask which)
 
 /* Functions of the math library, for lane after lane. */
 #define DAL_LANES_EACH(f) \
-    DAL_KERNEL_APART dal_vec DAL_LANES(f)(dal_vec x) \
+    DAL_KERNEL_NOINLINE dal_vec DAL_LANES(f)(dal_vec x) \
     { \
         for (int i = 0; i < DAL_LANES_VECTOR; i++) x[i] = f(x[i]); \
         return x; \
     }
 #define DAL_LANES_EACH_OF_TWO(f) \
-    DAL_KERNEL_APART dal_vec DAL_LANES(f)(dal_vec x, dal_vec y) \
+    DAL_KERNEL_NOINLINE dal_vec DAL_LANES(f)(dal_vec x, dal_vec y) \
     { \
         for (int i = 0; i < DAL_LANES_VECTOR; i++) x[i] = f(x[i], y[i]); \
         return x; \
@@ -272,9 +272,9 @@ typedef union DAL_LANES(divided) {
 #define DAL_CONSTRAINT(k, at, which, t, q, v, mu, N) ((void)(mu), 0)
 #define DAL_FORMS(k, at, which, t, q, v, phi, mu, N) ((void)(mu), 0)
 #endif
-#ifdef DAL_LANES_PULL
+#ifdef DAL_LANES_FORCE
 #define DAL_POTENTIAL(k, at, which, t, q, V_q) \
-    ((at)->tally[DAL_LANES_PULLS] -= (which), DAL_LANES_PULL(t, q, V_q, (k)->input, (k)->p), 0)
+    ((at)->tally[DAL_LANES_FORCES] -= (which), DAL_LANES_FORCE(t, q, V_q, (k)->input, (k)->p), 0)
 #define DAL_KERNEL_POTENTIAL
 #else
 #define DAL_POTENTIAL(k, at, which, t, q, V_q) 0
@@ -284,13 +284,13 @@ typedef union DAL_LANES(divided) {
 #define DAL_KERNEL_MASS DAL_LANES_MASS
 #define DAL_KERNEL_KIND(k) DAL_LANES_KIND
 #define DAL_BALANCE(k, at, which, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v) \
-    ((at)->tally[DAL_LANES_PULLS] -= (which), \
+    ((at)->tally[DAL_LANES_FORCES] -= (which), \
      DAL_LANES_BALANCE(t, q, v, L_v, F, L_vq, L_vv, F_q, F_v, (k)->input, (k)->p), 0)
 #define DAL_VALUES(k, at, which, t, q, v, L_v, F, late) \
     DAL_BALANCE(k, at, which, t, q, v, L_v, F, NULL, NULL, NULL, NULL)
 #define DAL_START(k, t, q, v, L_v, F) \
     (DAL_LANES_BALANCE(t, q, v, L_v, F, NULL, NULL, NULL, NULL, (k)->input, (k)->p), 0)
-#define DAL_COUNT_START(counts, which) ((counts)[DAL_LANES_PULLS] -= (which))
+#define DAL_COUNT_START(counts, which) ((counts)[DAL_LANES_FORCES] -= (which))
 #define DAL_WEIGHTS(name, k, s) \
     dal_vec name[4]; \
     DAL_LANES(weights)(s, (k)->known[(s)->kind], name)
@@ -312,16 +312,16 @@ typedef struct DAL_LANES(stats) {
 
 /* The members of a dal_kernel with these names, of all lanes of a vector. */
 typedef struct DAL_LANES(kernel) {
-    bool plain, kept, turns, diagonal, formed;
+    bool plain, kept, constant_rate, diagonal, formed;
     int steady;
     double shift;
     dal_vec t0, h, range[2], number, latest_span;
-    dal_mask going, pulled, forced, carried;
+    dal_mask going, history_known, forced, carried;
     DAL_LANES(stats) stats;
     struct {
         dal_vec *x, *point;
     } at;
-    dal_vec *pull, *force0, *impulse, *momentum, *forms, *latest, *history, *known;
+    dal_vec *dv_history, *force0, *impulse, *momentum, *forms, *latest, *history, *known;
     const dal_vec *mass, *mass_inverse, *unit, *per_unit, *p, *input;
     /* which no lane has */
     dal_vec *force1;
@@ -343,12 +343,12 @@ DAL_KERNEL_INLINE dal_vec DAL_LANES(square_root)(dal_vec x)
 /* The weights of the last changes of v, of which so many are known. */
 DAL_KERNEL_INLINE void DAL_LANES(weights)(const dal_stage *s, dal_vec known, dal_vec *weight)
 {
-    for (size_t i = 0; i < 4; i++) weight[i] = DAL_LANES(all_of)(s->past[4][i]);
+    for (size_t i = 0; i < 4; i++) weight[i] = DAL_LANES(all_of)(s->predict_4[4][i]);
     if (!DAL_LANES(any)(known < 4.0)) return;
     for (size_t count = 0; count < 4; count++)
         for (size_t i = 0; i < 4; i++)
             weight[i] = DAL_LANES(choose)(known == (double)count,
-                                          DAL_LANES(all_of)(s->past[count][i]), weight[i]);
+                                          DAL_LANES(all_of)(s->predict_4[count][i]), weight[i]);
 }
 
 /* ---- LU factors, as in lu.h, but with masks of the rows that were exchanged: of rows a and c, in
@@ -507,13 +507,13 @@ static void DAL_LANES(open)(const dal_lanes_block *block, const dal_lanes_layout
                             dal_vec *numbers, DAL_LANES(kernel) *k)
 {
     *k = (DAL_LANES(kernel)){
-        .plain = block->plain, .turns = block->turns, .steady = block->steady,
+        .plain = block->plain, .constant_rate = block->constant_rate, .steady = block->steady,
         .t0 = numbers[at->t0], .h = numbers[at->h],
         .range = {numbers[at->range], numbers[at->range + 1]}, .number = numbers[at->number],
-        .going = numbers[at->going] != 0.0, .pulled = numbers[at->pulled] != 0.0,
+        .going = numbers[at->going] != 0.0, .history_known = numbers[at->history_known] != 0.0,
         .forced = numbers[at->forced] != 0.0, .carried = numbers[at->carried] != 0.0,
         .stats.worst_residual = numbers[at->worst],
-        .at = {numbers + at->x, numbers + at->point}, .pull = numbers + at->pull,
+        .at = {numbers + at->x, numbers + at->point}, .dv_history = numbers + at->dv_history,
         .force0 = numbers + at->force, .impulse = numbers + at->impulse,
         .momentum = numbers + at->momentum, .forms = numbers + at->forms,
         .latest = numbers + at->latest, .history = numbers + at->history,
@@ -531,7 +531,7 @@ static void DAL_LANES(close)(const dal_lanes_block *block, const dal_lanes_layou
 {
     numbers[at->number] = k->number;
     numbers[at->going] = DAL_LANES(count)(k->going);
-    numbers[at->pulled] = DAL_LANES(count)(k->pulled);
+    numbers[at->history_known] = DAL_LANES(count)(k->history_known);
     numbers[at->forced] = DAL_LANES(count)(k->forced);
     numbers[at->carried] = DAL_LANES(count)(k->carried);
     if (block->momenta) numbers[at->latest_span] = k->latest_span;
@@ -555,7 +555,7 @@ static void DAL_LANES(take_back)(const dal_lanes_layout *at, const dal_vec *save
     const dal_mask going = k->going;
     for (size_t i = at->x; i < at->end; i++)
         numbers[i] = DAL_LANES(choose)(going, numbers[i], saved[i]);
-    k->pulled = (k->pulled & going) | (before->pulled & ~going);
+    k->history_known = (k->history_known & going) | (before->history_known & ~going);
     k->forced = (k->forced & going) | (before->forced & ~going);
     k->carried = (k->carried & going) | (before->carried & ~going);
     k->latest_span = DAL_LANES(choose)(going, k->latest_span, before->latest_span);
@@ -572,29 +572,31 @@ DAL_KERNEL_INLINE void DAL_LANES(make_stage)(const dal_lanes_block *block, DAL_L
     if (!DAL_LANES(any)(k->going)) return;
 #ifdef DAL_LANES_BALANCE
     (void)block;
-    (void)DAL_LANES_PART(stage_of_either)(k, k->number, s, NULL, k->at.x, k->pull);
+    (void)DAL_LANES_PART(stage_of_either)(k, k->number, s, NULL, k->at.x, k->dv_history);
 #else
-    if (block->plain) (void)DAL_LANES_PART(plain_stage)(k, k->number, s, NULL, k->at.x, k->pull);
-    else (void)DAL_LANES_PART(stage_in_general)(k, k->number, s, NULL, k->at.x, k->pull);
+    if (block->plain)
+        (void)DAL_LANES_PART(plain_stage)(k, k->number, s, NULL, k->at.x, k->dv_history);
+    else
+        (void)DAL_LANES_PART(stage_in_general)(k, k->number, s, NULL, k->at.x, k->dv_history);
 #endif
 }
 
 static void DAL_LANES(advance)(const dal_lanes_block *block, size_t steps)
 {
-    enum { TURNS = DAL_LANES_TURNS };
+    enum { INTERLEAVED = DAL_LANES_INTERLEAVED };
     const dal_lanes_layout at = dal_lanes_layout_of(
         DAL_LANES(n), DAL_LANES(m), block->momenta, block->kinds, block->parameters, block->inputs);
     const bool several = block->stages > 1;
-    dal_vec *numbers[TURNS], *saved[TURNS];
-    DAL_LANES(kernel) kernel[TURNS], before[TURNS];
-    for (size_t b = 0; b < TURNS; b++) {
+    dal_vec *numbers[INTERLEAVED], *saved[INTERLEAVED];
+    DAL_LANES(kernel) kernel[INTERLEAVED], before[INTERLEAVED];
+    for (size_t b = 0; b < INTERLEAVED; b++) {
         numbers[b] = (dal_vec *)block->numbers + b * at.count;
         saved[b] = (dal_vec *)block->saved + b * at.count;
         DAL_LANES(open)(block, &at, numbers[b], &kernel[b]);
     }
     for (size_t step = 0; step < steps; step++) {
         dal_mask some = {0};
-        for (size_t b = 0; b < TURNS; b++) {
+        for (size_t b = 0; b < INTERLEAVED; b++) {
             some |= kernel[b].going;
             kernel[b].formed = false;
             if (!several) continue;
@@ -603,20 +605,20 @@ static void DAL_LANES(advance)(const dal_lanes_block *block, size_t steps)
         }
         if (!DAL_LANES(any)(some)) break;
         for (const dal_stage *s = block->stage; s < block->stage + block->stages; s++)
-            for (size_t b = 0; b < TURNS; b++) DAL_LANES(make_stage)(block, &kernel[b], s);
-        for (size_t b = 0; b < TURNS; b++) {
+            for (size_t b = 0; b < INTERLEAVED; b++) DAL_LANES(make_stage)(block, &kernel[b], s);
+        for (size_t b = 0; b < INTERLEAVED; b++) {
             if (several && DAL_LANES(any)(before[b].going & ~kernel[b].going))
                 DAL_LANES(take_back)(&at, saved[b], &before[b], numbers[b], &kernel[b]);
             kernel[b].number += DAL_LANES(count)(kernel[b].going);
         }
     }
-    for (size_t b = 0; b < TURNS; b++)
+    for (size_t b = 0; b < INTERLEAVED; b++)
         DAL_LANES(close)(block, &at, &kernel[b], numbers[b]);
 }
 
 #undef DAL_KERNEL
 #undef DAL_LANES_PART
-#undef DAL_LANES_PULL
+#undef DAL_LANES_FORCE
 #undef DAL_LANES_BALANCE
 #undef DAL_LANES_MASS
 #undef DAL_LANES_KIND

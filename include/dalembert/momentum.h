@@ -22,7 +22,7 @@
  * The momentum p is carried from stage to stage, so the residual r of the balance is not lost: p' =
  * L_v(q~', v') + theta r.  The fraction theta_i of a row that is momentum is at most 1: (L_vv)_ii /
  * U_ii with K = L U.  In stiff damping the rest of r is a rounding of F, and not momentum.  While p
- * is carried, low of kernel.h is its rounding error instead of that of v.
+ * is carried, residue of kernel.h is its rounding error instead of that of v.
  *
  * As in kernel.h, dal_kernel.finish completes a stage that does not contract or is not finite.  It
  * also completes a stage in which a pivot of L_vv, K or S is not positive.  Each row is compared
@@ -101,7 +101,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel_of *k, const dal_traits_
     dal_flag unknown = DAL_AND(going, DAL_NOT(k->carried));
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
-        at->push[i] = DAL_SELECT(k->carried, at->low[n + i], DAL_NUMBER(0.0));
+        at->dv_known[i] = DAL_SELECT(k->carried, at->residue[n + i], DAL_NUMBER(0.0));
     if (of->constant && DAL_ANY(unknown)) {
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
@@ -118,18 +118,18 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel_of *k, const dal_traits_
         if (status) return status;
         DAL_COUNT_START(at->tally, DAL_OR(unknown, forces));
     }
-    const dal_real before = (o->kept ? 0.0 : o->stage->before) * k->h;
+    const dal_real before = (o->kept ? 0.0 : o->stage->A) * k->h;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
         const dal_real way = before * x[n + i];
-        at->lead[i] = at->low[i] + way;
-        at->from[i] = x[i] + at->lead[i];
+        at->dq_known[i] = at->residue[i] + way;
+        at->from[i] = x[i] + at->dq_known[i];
         at->node[i] = o->kept ? x[i] : at->from[i];
     }
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        if (pushed) at->push[i] -= of->early * k->force0[i];
-        balance->known[i] = k->momentum[i] + at->push[i];
+        if (pushed) at->dv_known[i] -= of->early * k->force0[i];
+        balance->known[i] = k->momentum[i] + at->dv_known[i];
     }
     return DAL_SUCCESS;
 }
@@ -161,9 +161,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(constrain)(dal_kernel_of *k, const dal_tra
                              at->mu, N);
     if (returned || !of->nonlinear) return returned;
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) at->goal[i] = 0.5 * (at->x[n + i] + at->w[i]);
+    for (size_t i = 0; i < n; i++) at->v_free[i] = 0.5 * (at->x[n + i] + at->w[i]);
     return DAL_FORMS(k, at, which, DAL_KERNEL_TIME(k, o->number, o->stage->t_node), at->node,
-                     at->goal, NULL, at->mu_node, NULL);
+                     at->v_free, NULL, at->mu_node, NULL);
 }
 
 /* r <- -phi at the state to be stored. */
@@ -320,7 +320,7 @@ DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(distance)(size_t m, const dal_arrays_
 
 /* Entry ij of K without L_vv. */
 DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(turn)(const dal_traits_of *o, const dal_spans_of *of,
-                                               const dal_balance_of *balance, size_t ij)
+                                                 const dal_balance_of *balance, size_t ij)
 {
     dal_real sum = DAL_NUMBER(-0.0);
     if (!of->still && DAL_KERNEL_HAS(o->has.L_vq, ij)) sum += of->b * balance->L_vq[ij];
@@ -331,32 +331,32 @@ DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(turn)(const dal_traits_of *o, const d
 
 /* K and S, factored, from the evaluations at the prediction; Z; L_vv becomes its factors.  Returns
  * false if one is not regular. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(form)(const dal_kernel_of *k, const dal_traits_of *o,
-                                             const dal_spans_of *of, const dal_arrays_of *at,
-                                             const dal_balance_of *balance)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(build_K)(const dal_kernel_of *k, const dal_traits_of *o,
+                                                    const dal_spans_of *of, const dal_arrays_of *at,
+                                                    const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
-    dal_real *const factors = balance->factors, *const share = balance->share;
+    dal_real *const factors = balance->factors, *const theta = balance->theta;
     dal_real *const K = balance->K, *const terms = at->step;
     const dal_real b = of->b;
     dal_flag regular = DAL_FLAG(true);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        share[i] = balance->L_vv[i * n + i];
-        terms[i] = share[i] + DAL_ABS(DAL_KERNEL_PART(turn)(o, of, balance, i * n + i));
+        theta[i] = balance->L_vv[i * n + i];
+        terms[i] = theta[i] + DAL_ABS(DAL_KERNEL_PART(turn)(o, of, balance, i * n + i));
         DAL_KERNEL_UNROLL
         for (size_t ij = i * n; ij < (i + 1) * n; ij++)
             factors[ij] = K[ij] = balance->L_vv[ij] + DAL_KERNEL_PART(turn)(o, of, balance, ij);
     }
     if (!of->constant)
-        regular = DAL_KERNEL_PART(is_definite)(k, o->has.K, balance->L_vv, share);
+        regular = DAL_KERNEL_PART(is_definite)(k, o->has.K, balance->L_vv, theta);
     if (!DAL_ANY(regular)) return regular;
     regular = DAL_ALSO(regular, DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms));
     if (!DAL_ANY(regular)) return regular;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        share[i] *= factors[i * n + i];
-        share[i] = DAL_SELECT(share[i] < 1.0, share[i], DAL_NUMBER(1.0));
+        theta[i] *= factors[i * n + i];
+        theta[i] = DAL_SELECT(theta[i] < 1.0, theta[i], DAL_NUMBER(1.0));
     }
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
@@ -370,10 +370,10 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(form)(const dal_kernel_of *k, const d
         for (size_t c = 0; c < m; c++) at->S[a * m + c] = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
-            const bool turns = DAL_KERNEL_HAS(o->has.N, a * n + i);
-            if (!turns && !DAL_KERNEL_HAS(o->has.mu, a * n + i)) continue;
-            const dal_real mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
-            const dal_real entry = turns ? DAL_ABS(mu) + DAL_ABS(row) : DAL_ABS(mu);
+            const bool has_N = DAL_KERNEL_HAS(o->has.N, a * n + i);
+            if (!has_N && !DAL_KERNEL_HAS(o->has.mu, a * n + i)) continue;
+            const dal_real mu = at->mu[a * n + i], row = has_N ? mu + b * at->N[a * n + i] : mu;
+            const dal_real entry = has_N ? DAL_ABS(mu) + DAL_ABS(row) : DAL_ABS(mu);
             DAL_KERNEL_UNROLL
             for (size_t c = 0; c < m; c++)
                 if (DAL_KERNEL_HAS(o->has.Z, c * n + i))
@@ -414,7 +414,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(linearise)(dal_kernel_of *k, const dal_tra
                                   balance->F_q, balance->F_v);
     if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_BALANCE, returned);
     if (returned > 0) return 1;
-    *open = DAL_AND(which, DAL_KERNEL_PART(form)(k, o, of, at, balance));
+    *open = DAL_AND(which, DAL_KERNEL_PART(build_K)(k, o, of, at, balance));
     return DAL_ANY(*open) ? DAL_KERNEL_PART(look)(k, o, at, open) : 1;
 }
 
@@ -440,8 +440,8 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel_of *k, const dal_
     DAL_KERNEL_SIZES;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        at->move[n + i] = at->push[i] + of->late * balance->F[i] + balance->reaction[i];
-        balance->residual[i] = k->momentum[i] + at->move[n + i] - balance->L_v[i];
+        at->dx[n + i] = at->dv_known[i] + of->late * balance->F[i] + balance->reaction[i];
+        balance->residual[i] = k->momentum[i] + at->dx[n + i] - balance->L_v[i];
     }
 }
 
@@ -524,8 +524,10 @@ DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(imbalance)(const dal_kernel_of *k,
 
 /* step, d <- a correction of w and kappa. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(correct_balance)(dal_kernel_of *k, const dal_traits_of *o,
-                                                  const dal_spans_of *of, const dal_arrays_of *at,
-                                                  const dal_balance_of *balance, dal_flag open)
+                                                        const dal_spans_of *of,
+                                                        const dal_arrays_of *at,
+                                                        const dal_balance_of *balance,
+                                                        dal_flag open)
 {
     DAL_KERNEL_SIZES;
     dal_real *const y = at->step;
@@ -646,7 +648,7 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(mend)(dal_kernel_of *k, const dal_tra
     for (size_t i = 0; i < n; i++)
         balance->L_v[i] = DAL_TAKE(
             false, which,
-            balance->L_v[i] + balance->share[i] * DAL_KERNEL_PART(column)(n, m, o->has.mu,
+            balance->L_v[i] + balance->theta[i] * DAL_KERNEL_PART(column)(n, m, o->has.mu,
                                                                          at->mu_node, i, at->d),
             balance->L_v[i]);
     const dal_flag settled = DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance, which);
@@ -666,10 +668,10 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel_of *k, const dal_arrays
     (void)made, (void)all;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        dal_real *const p = &k->momentum[i], *const low = &at->low[n + i];
+        dal_real *const p = &k->momentum[i], *const residue = &at->residue[n + i];
         const dal_real next = balance->L_v[i] + balance->residual[i];
-        *low = DAL_TAKE(all, made, balance->share[i] * (*p - next + at->move[n + i]), *low);
-        *p = DAL_TAKE(all, made, balance->L_v[i] + balance->share[i] * balance->residual[i], *p);
+        *residue = DAL_TAKE(all, made, balance->theta[i] * (*p - next + at->dx[n + i]), *residue);
+        *p = DAL_TAKE(all, made, balance->L_v[i] + balance->theta[i] * balance->residual[i], *p);
         k->force0[i] = DAL_TAKE(all, made, -balance->F[i], k->force0[i]);
     }
 }
@@ -687,7 +689,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel_of *k, const dal_tra
         past[2 * n + i] = DAL_TAKE(all, done, past[n + i], past[2 * n + i]);
         past[n + i] = DAL_TAKE(all, done, past[i], past[n + i]);
         past[i] = DAL_TAKE(all, done, at->w[i] - x[n + i], past[i]);
-        at->low[i] = DAL_TAKE(all, done, x[i] - at->stored[i] + at->move[i], at->low[i]);
+        at->residue[i] = DAL_TAKE(all, done, x[i] - at->stored[i] + at->dx[i], at->residue[i]);
         x[i] = DAL_TAKE(all, done, at->stored[i], x[i]);
         x[n + i] = DAL_TAKE(all, done, at->w[i], x[n + i]);
     }
@@ -734,8 +736,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(make_balanced)(dal_kernel_of *k, const dal
         if (status) return status;
         DAL_KERNEL_UNROLL
         for (size_t i = n; i < 2 * n; i++) /* where finish did it, there is no p */
-            at->low[i] = DAL_TAKE(false, DAL_AND(done, DAL_NOT(made)), DAL_NUMBER(0.0),
-                                  at->low[i]);
+            at->residue[i] = DAL_TAKE(false, DAL_AND(done, DAL_NOT(made)), DAL_NUMBER(0.0),
+                                  at->residue[i]);
         if (DAL_ANY(made)) DAL_KERNEL_PART(carry)(k, at, balance, made, false);
     } else {
         DAL_KERNEL_PART(carry)(k, at, balance, made, true);
@@ -753,26 +755,26 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(make_balanced)(dal_kernel_of *k, const dal
  * true if B = 0: mu(q~') is then that of the node. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel_of *const k, const dal_real number,
                                                 const dal_stage *const s, const bool explicit,
-                                                dal_real *const x, dal_real *const low)
+                                                dal_real *const x, dal_real *const residue)
 {
     DAL_KERNEL_SIZES;
-    (void)x, (void)low;
+    (void)x, (void)residue;
 #ifdef DAL_N
-    dal_real node[DAL_N], point[DAL_N], w[DAL_N], goal[DAL_N], step[DAL_N], stored[DAL_N];
+    dal_real node[DAL_N], point[DAL_N], w[DAL_N], v_free[DAL_N], step[DAL_N], stored[DAL_N];
     dal_real mu_node[DAL_KERNEL_M * DAL_N], mu[DAL_KERNEL_M * DAL_N], N[DAL_KERNEL_M * DAL_N];
     dal_real Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
     dal_real r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
     DAL_EXCHANGES(row);
     DAL_TALLY(tally);
-    dal_real from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N];
-    dal_real known[DAL_N], reaction[DAL_N], residual[DAL_N], share[DAL_N];
+    dal_real from[DAL_N], dq_known[DAL_N], dv_known[DAL_N], dx[2 * DAL_N];
+    dal_real known[DAL_N], reaction[DAL_N], residual[DAL_N], theta[DAL_N];
     dal_real phi[DAL_KERNEL_M], L_v[DAL_N], F[DAL_N], unit[DAL_N], per_unit[DAL_N];
     dal_real L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
     dal_real K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
-    const dal_arrays_of at = {x, NULL, low, node, point, w, mu_node, mu, N, known, goal, step, NULL,
-                              stored, from, lead, push, move, Z, S, sizes, r, d, kappa, row, NULL,
-                              NULL, NULL, 0, NULL, false, tally};
-    const dal_balance_of balance = {known, reaction, residual, share, phi, L_v, F, unit, per_unit,
+    const dal_arrays_of at = {x, NULL, residue, node, point, w, mu_node, mu, N, known, v_free,
+                              step, NULL, stored, from, dq_known, dv_known, dx, Z, S, sizes, r, d,
+                              kappa, row, NULL, NULL, NULL, 0, NULL, false, tally};
+    const dal_balance_of balance = {known, reaction, residual, theta, phi, L_v, F, unit, per_unit,
                                     L_vq, L_vv, F_q, F_v, K, factors};
 #else
     const dal_arrays_of at = k->at;
@@ -780,9 +782,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel_of *const k, const da
 #endif
     const dal_constraint_kind kind = DAL_KERNEL_KIND(k);
     const bool linear = kind == DAL_LINEAR, kept = !DAL_KERNEL_INSIDE && k->kept;
-    const dal_spans_of of = {.b = s->after * k->h, .early = k->h * s->start,
-                             .late = k->h * s->end, .pushed = s->start != 0.0,
-                             .late_pushed = s->end != 0.0,
+    const dal_spans_of of = {.b = s->B * k->h, .early = k->h * s->w0,
+                             .late = k->h * s->w2, .pushed = s->w0 != 0.0,
+                             .late_pushed = s->w2 != 0.0,
                              .constant = DAL_KERNEL_INSIDE ? DAL_KERNEL_MASS : k->mass != NULL,
                              .linear = linear, .nonlinear = kind == DAL_NONLINEAR,
                              .still = explicit && !kept, .known = explicit && linear && !kept};

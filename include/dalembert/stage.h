@@ -123,16 +123,16 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(factor_S)(const dal_arrays_of *at, si
         dal_real size = DAL_NUMBER(-0.0);
         for (size_t c = 0; c < m; c++) at->S[a * m + c] = DAL_NUMBER(-0.0);
         for (size_t i = 0; i < n; i++) {
-            const bool turns = DAL_KERNEL_HAS(has.N, a * n + i);
-            if (!turns && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
-            const dal_real mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
-            const dal_real entry = turns ? DAL_ABS(mu) + DAL_ABS(row) : DAL_ABS(mu);
+            const bool has_N = DAL_KERNEL_HAS(has.N, a * n + i);
+            if (!has_N && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
+            const dal_real mu = at->mu[a * n + i], row = has_N ? mu + b * at->N[a * n + i] : mu;
+            const dal_real entry = has_N ? DAL_ABS(mu) + DAL_ABS(row) : DAL_ABS(mu);
             if (m > 1) size += entry * at->unit[i];
             for (size_t c = 0; c < m; c++) {
                 if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
                 const dal_real term = row * at->Z[c * n + i];
                 at->S[a * m + c] += term;
-                terms += turns ? entry * DAL_ABS(at->Z[c * n + i]) : DAL_ABS(term);
+                terms += has_N ? entry * DAL_ABS(at->Z[c * n + i]) : DAL_ABS(term);
             }
         }
         at->sizes[a] = m > 1 ? size : terms;
@@ -152,16 +152,16 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve_S)(const dal_kernel_of *k, const da
 }
 
 /* V_q at q, and at the velocity v for a force that depends on it, in these lanes. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(pull)(dal_kernel_of *k, const dal_arrays_of *at,
-                                            dal_flag which, dal_real t, const dal_real *q,
-                                            const dal_real *v, dal_real *V_q)
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(force)(dal_kernel_of *k, const dal_arrays_of *at,
+                                             dal_flag which, dal_real t, const dal_real *q,
+                                             const dal_real *v, dal_real *V_q)
 {
     (void)which, (void)t, (void)q, (void)v, (void)V_q;
     return at->dragged ? DAL_DRAG(k, t, q, v, V_q)
                        : DAL_POTENTIAL(k, at, which, t, q, V_q);
 }
 
-/* base, push += the contribution of V at q_k, or at q~. */
+/* v_known, push += the contribution of V at q_k, or at q~. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel_of *k, const dal_traits_of *o,
                                             const dal_arrays_of *at, dal_real *force1,
                                             dal_flag going)
@@ -169,7 +169,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel_of *k, const dal_traits_o
     const dal_stage *const s = o->stage;
     DAL_KERNEL_SIZES;
     const dal_real *const x = at->x, h = k->h;
-    const bool at_node = o->plain || s->node != 0.0;
+    const bool at_node = o->plain || s->w1 != 0.0;
     dal_real *const force = !at_node ? k->force0
                           : o->plain && DAL_KERNEL_INSIDE ? at->seen : force1;
     if (o->plain && DAL_KERNEL_INSIDE)
@@ -182,30 +182,31 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel_of *k, const dal_traits_o
             at->point[i] = at_node ? at->node[i] : o->kept ? x[i] - shift * h * x[n + i] : x[i];
         const dal_real t = DAL_KERNEL_TIME(k, o->number, at_node ? s->t_node : s->t_start);
         DAL_FRESH(fresh, DAL_N, force);
-        const int returned = DAL_KERNEL_PART(pull)(k, at, unknown, t, at->point, x + n, fresh);
+        const int returned = DAL_KERNEL_PART(force)(k, at, unknown, t, at->point, x + n, fresh);
         if (returned) return DAL_REFUSED(k, DAL_FAILED_POTENTIAL, returned);
         DAL_KERNEL_PART(take)(n, at_node, unknown, fresh, force);
     }
-    const dal_real weight = h * (at_node ? s->node : s->start);
+    const dal_real weight = h * (at_node ? s->w1 : s->w0);
     DAL_KERNEL_PART(accelerate)(k, at, n, o->has.inverse, force, at->step);
     for (size_t i = 0; i < n; i++)
         if (DAL_KERNEL_HAS(o->has.kick, i)) {
-            at->push[i] -= weight * at->step[i];
-            at->base[i] -= weight * at->step[i];
+            at->dv_known[i] -= weight * at->step[i];
+            at->v_known[i] -= weight * at->step[i];
         }
     return DAL_SUCCESS;
 }
 
-/* From node i to q~'_i with the velocity w_i, by way.  If turns is true, the velocity constant and
- * both ways equal, they have the same number of ulps of q. So the node is in the middle to the bit.
- * Then a uniformly turning blade loses no energy to the rounding of a large angle.  Each way has
- * half of low: its rounding error is in low twice, and the next two ways remove all of it. */
-DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(leave)(const dal_stage *s, size_t n, bool turns,
+/* From node i to q~'_i with the velocity w_i, by way.  If constant_rate is true, the velocity
+ * constant and both ways equal, they have the same number of ulps of q.  So the node is in the
+ * middle to the bit.  Then a uniformly turning blade loses no energy to the rounding of a large
+ * angle.  Each way has half of residue: its rounding error is in residue twice, and the next two
+ * ways remove all of it. */
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(leave)(const dal_stage *s, size_t n, bool constant_rate,
                                                   const dal_arrays_of *at, size_t i, dal_real w,
                                                   dal_real way)
 {
-    if (!turns || s->before != s->after) return at->from[i] + way;
-    return DAL_SELECT(DAL_AND(w == at->x[n + i], at->low[n + i] == 0.0),
+    if (!constant_rate || s->A != s->B) return at->from[i] + way;
+    return DAL_SELECT(DAL_AND(w == at->x[n + i], at->residue[n + i] == 0.0),
                       at->node[i] + (at->node[i] - at->x[i]), at->from[i] + way);
 }
 
@@ -213,71 +214,73 @@ DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(leave)(const dal_stage *s, size_t n, 
  * it.  With kept nodes q_{k+1} = q_k + h v' is stored, and q~' is recovered as q_{k+1} - (1-beta) h
  * v'. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(place)(const dal_kernel_of *k, const dal_stage *s, size_t n,
-                                              bool kept, bool turns, const dal_arrays_of *at)
+                                              bool kept, bool constant_rate,
+                                              const dal_arrays_of *at)
 {
-    const dal_real reach = (kept ? s->span : s->after) * k->h;
+    const dal_real reach = (kept ? s->span : s->B) * k->h;
     for (size_t i = 0; i < n; i++) {
         const dal_real way = reach * at->w[i];
-        at->move[i] = at->lead[i] + way;
-        at->stored[i] = DAL_KERNEL_PART(leave)(s, n, turns, at, i, at->w[i], way);
+        at->dx[i] = at->dq_known[i] + way;
+        at->stored[i] = DAL_KERNEL_PART(leave)(s, n, constant_rate, at, i, at->w[i], way);
         at->point[i] = kept ? at->stored[i] - k->shift * k->h * at->w[i] : at->stored[i];
     }
 }
 
-/* ---- predict: the part of v' that is known, and the pull */
+/* ---- predict: the known part of v', and the unknown one */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel_of *k, const dal_traits_of *o,
                                                const dal_arrays_of *at, dal_real *force1,
                                                dal_flag going)
 {
     const dal_stage *const s = o->stage;
     DAL_KERNEL_SIZES;
-    const dal_real *const x = at->x, *const pull = at->pull;
-    const dal_real h = k->h, b = s->after * h;
-    const dal_real before = (o->kept ? 0.0 : s->before) * h; /* a kept node is the state */
+    const dal_real *const x = at->x, *const dv_history = at->dv_history;
+    const dal_real h = k->h, b = s->B * h;
+    const dal_real before = (o->kept ? 0.0 : s->A) * h; /* a kept node is the state */
     for (size_t i = 0; i < n; i++) {
         const dal_real way = before * x[n + i], near = x[i] + way;
-        at->lead[i] = at->low[i] + way;
-        at->from[i] = near + at->low[i];
+        at->dq_known[i] = at->residue[i] + way;
+        at->from[i] = near + at->residue[i];
         at->node[i] = s->linear && !o->kept ? at->from[i] : near;
-        if (o->turns) {
-            const dal_flag even = at->low[n + i] == 0.0; /* as where v is constant */
-            at->from[i] = DAL_SELECT(even, x[i] + (0.5 * at->low[i] + way), at->from[i]);
+        if (o->constant_rate) {
+            const dal_flag even = at->residue[n + i] == 0.0; /* as where v is constant */
+            at->from[i] = DAL_SELECT(even, x[i] + (0.5 * at->residue[i] + way), at->from[i]);
             at->node[i] = DAL_SELECT(even, at->from[i], at->node[i]);
         }
-        at->push[i] = at->low[n + i];
-        at->base[i] = x[n + i] + at->low[n + i];
+        at->dv_known[i] = at->residue[n + i];
+        at->v_known[i] = x[n + i] + at->residue[n + i];
     }
-    if (o->potential && !o->apart) {
+    if (o->potential && !o->force_after_S) {
         const int status = DAL_KERNEL_PART(kick)(k, o, at, force1, going);
         if (status) return status;
     }
-    /* The latest pull is added last; q~' does not wait for v', and predictions do not wait for low,
-     * because this is the critical path.  A steady coordinate is not predicted, but known to the
-     * bit. */
+    /* The latest part is added last; q~' does not wait for v', and predictions do not wait for
+     * residue, because this is the critical path.  A steady coordinate is not predicted, but known
+     * to the bit. */
     for (size_t i = 0; i < n; i++) {
-        const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
-        dal_real early = o->steady || o->potential ? at->base[i] : x[n + i];
-        if (pulled) early += s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i];
+        const bool predicted = !o->steady && DAL_KERNEL_HAS(o->has.dv, i);
+        dal_real early = o->steady || o->potential ? at->v_known[i] : x[n + i];
+        if (predicted)
+            early += s->predict_3[1] * dv_history[n + i] + s->predict_3[2] * dv_history[2 * n + i];
         at->w[i] = early;
-        at->point[i] = o->steady || o->turns
-                           ? DAL_KERNEL_PART(leave)(s, n, o->turns, at, i, early, b * early)
+        at->point[i] = o->steady || o->constant_rate
+                           ? DAL_KERNEL_PART(leave)(s, n, o->constant_rate, at, i, early, b * early)
                            : at->node[i] + b * early;
-        if (pulled) {
-            at->w[i] += s->ahead[0] * pull[i];
-            at->point[i] += b * s->ahead[0] * pull[i];
+        if (predicted) {
+            at->w[i] += s->predict_3[0] * dv_history[i];
+            at->point[i] += b * s->predict_3[0] * dv_history[i];
         }
     }
     return DAL_SUCCESS;
 }
 
 /* mu at the node, unless it is that of the stage before. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(form_node)(dal_kernel_of *k, const dal_traits_of *o,
-                                                 const dal_arrays_of *at, dal_flag going)
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(mu_at_node)(dal_kernel_of *k, const dal_traits_of *o,
+                                                  const dal_arrays_of *at, dal_flag going)
 {
     DAL_KERNEL_SIZES;
     (void)going;
 #ifdef DAL_KERNEL_MOMENTA
-    if (k->formed && o->stage->before == 0.0) {
+    if (k->formed && o->stage->A == 0.0) {
         DAL_KERNEL_COPY(m * n, k->forms, at->mu_node);
         return 0;
     }
@@ -300,7 +303,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel_of *k, const dal_traits
                                   o->steady ? NULL : at->N);
     if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, returned);
     if (m > 0) {
-        const int status = DAL_KERNEL_PART(form_node)(k, o, at, *open);
+        const int status = DAL_KERNEL_PART(mu_at_node)(k, o, at, *open);
         if (status) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, status);
         DAL_KERNEL_PART(direct)(k, at, n, m, o->has.inverse);
     }
@@ -311,11 +314,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel_of *k, const dal_traits
         for (size_t i = 0; i < entries; i++) at->N[i] = DAL_NUMBER(0.0);
     }
     if (o->ends && returned == 0)
-        returned = DAL_KERNEL_PART(pull)(k, at, *open, o->t_end, at->point, at->w, force1);
+        returned = DAL_KERNEL_PART(force)(k, at, *open, o->t_end, at->point, at->w, force1);
     if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_POTENTIAL, returned);
     if (returned > 0) return 1;
     if (m == 0) return DAL_SUCCESS;
-    const dal_real b = s->after * k->h;
+    const dal_real b = s->B * k->h;
     const dal_flag regular = at->rows ? DAL_FLAG(k->factor(k, b) > 0)
                                       : DAL_KERNEL_PART(factor_S)(at, n, m, o->has, b);
     *open = DAL_AND(*open, regular);
@@ -366,7 +369,7 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_roundoff)(const dal_kernel_of *k,
     DAL_KERNEL_SIZES;
     (void)k;
     const dal_real terms = DAL_KERNEL_PART(speed)(n, at->per_unit, at->w)
-                         + DAL_KERNEL_PART(speed)(n, at->per_unit, at->goal);
+                         + DAL_KERNEL_PART(speed)(n, at->per_unit, at->v_free);
     dal_flag roundoff = DAL_FLAG(true);
     for (size_t a = 0; a < m; a++) {
         dal_real shifted = DAL_NUMBER(0.0);
@@ -396,15 +399,15 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(newton)(const dal_kernel_of *k, const dal
     const dal_pattern has = o->has;
     DAL_KERNEL_SIZES;
     (void)open, (void)all;
-    const dal_real h = k->h, b = s->after * h, *const seen = o->ends ? at->seen : at->w;
-    if (o->ends) DAL_KERNEL_PART(accelerate)(k, at, n, has.inverse, force1, at->goal);
+    const dal_real h = k->h, b = s->B * h, *const seen = o->ends ? at->seen : at->w;
+    if (o->ends) DAL_KERNEL_PART(accelerate)(k, at, n, has.inverse, force1, at->v_free);
     for (size_t i = 0; i < n; i++) {
-        const dal_real kick = o->ends && DAL_KERNEL_HAS(has.kick, i) ? h * s->end * at->goal[i]
+        const dal_real kick = o->ends && DAL_KERNEL_HAS(has.kick, i) ? h * s->w2 * at->v_free[i]
                                                                      : DAL_NUMBER(0.0);
-        at->move[n + i] = at->push[i] - kick;
-        at->goal[i] = at->base[i] - kick;
-        at->step[i] = at->goal[i];
-        if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
+        at->dx[n + i] = at->dv_known[i] - kick;
+        at->v_free[i] = at->v_known[i] - kick;
+        at->step[i] = at->v_free[i];
+        if (!first && m > 0 && DAL_KERNEL_HAS(has.dv, i))
             at->step[i] += DAL_KERNEL_PART(reaction)(at, n, m, has.Z, i, at->kappa);
     }
     for (size_t a = 0; a < m; a++) {
@@ -415,7 +418,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(newton)(const dal_kernel_of *k, const dal
                 for (size_t e = at->rows->first[a]; e < at->rows->first[a + 1]; e++)
                     turn += at->N[e] * (at->step[at->rows->column[e]] - seen[at->rows->column[e]]);
             for (size_t i = 0; !at->rows && i < n; i++)
-                if (DAL_KERNEL_HAS(has.N, a * n + i) && DAL_KERNEL_HAS(has.pull, i))
+                if (DAL_KERNEL_HAS(has.N, a * n + i) && DAL_KERNEL_HAS(has.dv, i))
                     turn += at->N[a * n + i] * (at->step[i] - seen[i]);
             sum += b * turn;
         }
@@ -426,11 +429,11 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(newton)(const dal_kernel_of *k, const dal
         at->kappa[a] = first ? at->d[a] : DAL_TAKE(all, open, at->kappa[a] + at->d[a],
                                                    at->kappa[a]);
     for (size_t i = 0; i < n; i++) {
-        if (!DAL_KERNEL_HAS(has.pull, i)) continue;
+        if (!DAL_KERNEL_HAS(has.dv, i)) continue;
         const dal_real reaction = m > 0 ? DAL_KERNEL_PART(reaction)(at, n, m, has.Z, i, at->kappa)
                                         : DAL_NUMBER(-0.0);
-        const dal_real next = at->goal[i] + reaction;
-        at->move[n + i] += reaction;
+        const dal_real next = at->v_free[i] + reaction;
+        at->dx[n + i] += reaction;
         at->step[i] = next - at->w[i];
         at->w[i] = next; /* a frozen lane keeps its value */
     }
@@ -449,10 +452,10 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(judge)(const dal_kernel_of *k, const 
     const dal_real last = progress->last;
     dal_real size = DAL_NUMBER(-0.0);
     for (size_t i = 0; i < n; i++)
-        if (DAL_KERNEL_HAS(o->has.pull, i))
+        if (DAL_KERNEL_HAS(o->has.dv, i))
             size += DAL_ABS(at->step[i]) * at->per_unit[i];
     const dal_real noise =
-        8.0 * DAL_KERNEL_U * DAL_KERNEL_PART(extent)(n, at->per_unit, at->goal);
+        8.0 * DAL_KERNEL_U * DAL_KERNEL_PART(extent)(n, at->per_unit, at->v_free);
     const dal_flag small = size <= noise;
     *balanced = DAL_FLAG(true);
     if (o->ends)
@@ -460,7 +463,7 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(judge)(const dal_kernel_of *k, const 
                           : DAL_OR(small, DAL_AND(DAL_NOT(progress->anew),
                                                   DAL_KERNEL_SAFETY * (size * (size / last))
                                                           * s->reuse
-                                                      <= noise * fabs(s->end)));
+                                                      <= noise * fabs(s->w2)));
     const dal_flag shrinks =
         first ? DAL_FLAG(true) : DAL_OR(progress->anew, DAL_OR(size <= 0.5 * last, small));
     if (o->ends) {
@@ -486,7 +489,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(correct)(dal_kernel_of *k, const dal_trait
     int returned = 0;
     DAL_COUNT_ITERATION(k, at, progress->open);
     DAL_KERNEL_PART(newton)(k, o, at, force1, progress->open, first, all);
-    DAL_KERNEL_PART(place)(k, o->stage, n, o->kept, o->turns, at);
+    DAL_KERNEL_PART(place)(k, o->stage, n, o->kept, o->constant_rate, at);
     if (!o->known || o->ends) {
         /* first saves a division; if it is no constant, it costs more */
         const dal_flag shrinks = DAL_KERNEL_PART(judge)(k, o, at, progress,
@@ -512,7 +515,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(correct)(dal_kernel_of *k, const dal_trait
     const dal_flag again = DAL_AND(progress->open, DAL_NOT(balanced));
     if (o->ends && DAL_ANY(again) && returned == 0) {
         DAL_FRESH(force, DAL_N, force1);
-        returned = DAL_KERNEL_PART(pull)(k, at, again, o->t_end, at->point, at->w, force);
+        returned = DAL_KERNEL_PART(force)(k, at, again, o->t_end, at->point, at->w, force);
         if (all && !DAL_ANY(DAL_AND(progress->open, balanced)))
             DAL_KERNEL_PART(take)(n, true, again, force, force1);
         else
@@ -574,7 +577,7 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(settle)(dal_kernel_of *k, const dal_t
             const dal_real mended = DAL_TAKE(
                 false, rest,
                 at->w[i] + DAL_KERNEL_PART(reaction)(at, n, m, o->has.Z, i, at->d), at->w[i]);
-            at->move[n + i] += mended - at->w[i];
+            at->dx[n + i] += mended - at->w[i];
             at->w[i] = mended;
         }
         settled = DAL_OR(settled, DAL_KERNEL_PART(find_settled)(k, o, at, rest));
@@ -582,36 +585,36 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(settle)(dal_kernel_of *k, const dal_t
     return DAL_AND(settled, DAL_KERNEL_PART(is_finite)(n, at));
 }
 
-/* ---- commit.  The next stage adds the rounding error of the sum of x and move, so these errors do
+/* ---- commit.  The next stage adds the rounding error of the sum of x and dx, so these errors do
  * not accumulate (compensated summation; E. Hairer, R. McLachlan and A. Razakarivony 2008).  Those
- * of move, smaller by h, do accumulate. */
+ * of dx, smaller by h, do accumulate. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel_of *k, const dal_traits_of *o,
                                                const dal_arrays_of *at, dal_real *force1,
                                                dal_flag made, dal_flag solved, bool all)
 {
     DAL_KERNEL_SIZES;
-    dal_real *const x = at->x, *const pull = at->pull, *const low = at->low;
+    dal_real *const x = at->x, *const dv_history = at->dv_history, *const residue = at->residue;
     (void)made, (void)all;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        if (!o->steady && DAL_KERNEL_HAS(o->has.pull, i)) {
-            pull[2 * n + i] = DAL_TAKE(all, made, pull[n + i], pull[2 * n + i]);
-            pull[n + i] = DAL_TAKE(all, made, pull[i], pull[n + i]);
-            pull[i] = DAL_TAKE(all, made, at->w[i] - at->base[i], pull[i]);
+        if (!o->steady && DAL_KERNEL_HAS(o->has.dv, i)) {
+            dv_history[2 * n + i] = DAL_TAKE(all, made, dv_history[n + i], dv_history[2 * n + i]);
+            dv_history[n + i] = DAL_TAKE(all, made, dv_history[i], dv_history[n + i]);
+            dv_history[i] = DAL_TAKE(all, made, at->w[i] - at->v_known[i], dv_history[i]);
         }
-        low[i] = DAL_TAKE(all, made, x[i] - at->stored[i] + at->move[i], low[i]);
-        low[n + i] = DAL_TAKE(all, made, x[n + i] - at->w[i] + at->move[n + i], low[n + i]);
+        residue[i] = DAL_TAKE(all, made, x[i] - at->stored[i] + at->dx[i], residue[i]);
+        residue[n + i] = DAL_TAKE(all, made, x[n + i] - at->w[i] + at->dx[n + i], residue[n + i]);
         x[i] = DAL_TAKE(all, made, at->stored[i], x[i]);
         x[n + i] = DAL_TAKE(all, made, at->w[i], x[n + i]);
     }
-    const dal_flag starts = DAL_AND(made, DAL_NOT(k->pulled));
+    const dal_flag starts = DAL_AND(made, DAL_NOT(k->history_known));
     if (!o->steady && DAL_KERNEL_RARE(DAL_ANY(starts))) { /* the best guess of the past */
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
-            pull[n + i] = DAL_SELECT(starts, pull[i], pull[n + i]);
-            pull[2 * n + i] = DAL_SELECT(starts, pull[i], pull[2 * n + i]);
+            dv_history[n + i] = DAL_SELECT(starts, dv_history[i], dv_history[n + i]);
+            dv_history[2 * n + i] = DAL_SELECT(starts, dv_history[i], dv_history[2 * n + i]);
         }
-        k->pulled = DAL_OR(k->pulled, starts);
+        k->history_known = DAL_OR(k->history_known, starts);
     }
     for (size_t a = 0; a < m; a++)
         k->impulse[a] = DAL_TAKE(all, made, k->impulse[a] + at->kappa[a], k->impulse[a]);
@@ -634,15 +637,15 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(make)(dal_kernel_of *k, const dal_traits_o
     for (size_t a = 0; a < m; a++) at->kappa[a] = DAL_NUMBER(0.0);
     status = DAL_KERNEL_PART(factor)(k, o, at, force1, &progress.open);
     if (status < 0) return status;
-    if (o->apart) {
+    if (o->force_after_S) {
         const int kicked = DAL_KERNEL_PART(kick)(k, o, at, force1, progress.open);
         if (kicked) return kicked;
-        DAL_KERNEL_COPY(n, at->base, at->w);
+        DAL_KERNEL_COPY(n, at->v_known, at->w);
     }
     dal_flag made = DAL_FLAG(false);
     if (status > 0) {
         DAL_KERNEL_COPY(n, at->node, at->stored);
-        DAL_KERNEL_COPY(n, at->base, at->goal);
+        DAL_KERNEL_COPY(n, at->v_known, at->v_free);
     } else {
         status = DAL_KERNEL_PART(iterate)(k, o, at, force1, &progress);
         if (status < 0) return status;
@@ -665,10 +668,10 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(make)(dal_kernel_of *k, const dal_traits_o
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel_of *const k, const dal_real number,
                                              const dal_stage *const s, const bool plain,
                                              const dal_masses_of *const masses, dal_real *const x,
-                                             dal_real *const pull)
+                                             dal_real *const dv_history)
 {
     DAL_KERNEL_SIZES;
-    (void)masses, (void)x, (void)pull;
+    (void)masses, (void)x, (void)dv_history;
     dal_pattern has = DAL_KERNEL_PATTERN;
 #ifdef DAL_N
     DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
@@ -678,8 +681,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel_of *const k, const dal_r
     DAL_KERNEL_SHARED(mu, DAL_KERNEL_M * DAL_N, 10 * n + m * n);
     DAL_KERNEL_SHARED(N, DAL_KERNEL_M * DAL_N, 10 * n + 2 * m * n);
     /* not passed to other functions: on the stack, for the registers */
-    dal_real base[DAL_N], goal[DAL_N], step[DAL_N], seen[DAL_N], stored[DAL_N];
-    dal_real from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N];
+    dal_real v_known[DAL_N], v_free[DAL_N], step[DAL_N], seen[DAL_N], stored[DAL_N];
+    dal_real from[DAL_N], dq_known[DAL_N], dv_known[DAL_N], dx[2 * DAL_N];
     dal_real Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
     dal_real r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
     DAL_EXCHANGES(row);
@@ -691,15 +694,16 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel_of *const k, const dal_r
     const double *const mass_inverse = masses->mass_inverse;
     const double *const unit = masses->unit, *const per_unit = masses->per_unit;
 #endif
-    const dal_arrays_of at = {x, pull, pull + 3 * n, node, point, w, mu_node, mu, N, base, goal,
-                              step, seen, stored, from, lead, push, move, Z, S, sizes, r, d, kappa,
-                              row, mass_inverse, unit, per_unit, n + 1, NULL, false, tally};
+    const dal_arrays_of at = {x, dv_history, dv_history + 3 * n, node, point, w, mu_node, mu, N,
+                              v_known, v_free, step, seen, stored, from, dq_known, dv_known, dx, Z,
+                              S, sizes, r, d, kappa, row, mass_inverse, unit, per_unit, n + 1,
+                              NULL, false, tally};
 #else
     const dal_arrays_of at = k->at;
 #endif
     DAL_FRESH(force1, DAL_N, k->force1);
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
-    const bool potential = DAL_KERNEL_PULLED || at.dragged;
+    const bool potential = DAL_KERNEL_HAS_FORCE || at.dragged;
     const bool inside = DAL_KERNEL_STEADY > 0 && plain;
     const int declared = DAL_KERNEL_STEADY == 0 ? 0 : k->steady;
     const bool proved = inside || declared >= DAL_STEADY_PROVED;
@@ -707,10 +711,10 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel_of *const k, const dal_r
     const dal_traits_of o = {.stage = s, .number = number, .has = has, .plain = plain,
                              .kept = kept, .t_end = DAL_KERNEL_TIME(k, number, s->t_end),
                              .potential = potential,
-                             .ends = potential && !plain && s->end != 0.0,
-                             .turns = DAL_KERNEL_TURNS(k) && !kept,
+                             .ends = potential && !plain && s->w2 != 0.0,
+                             .constant_rate = DAL_KERNEL_CONSTANT_RATE(k) && !kept,
                              .steady = inside || declared,
                              .known = m == 0 || proved || (s->linear && !kept),
-                             .apart = plain && DAL_KERNEL_STEADY > 1};
+                             .force_after_S = plain && DAL_KERNEL_STEADY > 1};
     return DAL_KERNEL_PART(make)(k, &o, &at, force1);
 }

@@ -357,7 +357,7 @@ def _kernel(made: Program, model: Model) -> None:
     macros["KERNEL_CONSTRAINT(k, t, q, v, mu, N)"] = constrain
     if initializer := zeros.initializer():
         macros["KERNEL_PATTERN"] = initializer
-    macros["KERNEL_STEADY"] = int(zeros.steady) + int(zeros.apart)
+    macros["KERNEL_STEADY"] = int(zeros.steady) + int(zeros.force_after_S)
     counted = {"potential": derived.function("potential"), "force": derived.function("force")}
     counted["lagrangian"] = derived.function("lagrangian")
     count = "".join(f"    k->stats.{x}_calls++;\n" for x, there in counted.items() if there)
@@ -440,7 +440,7 @@ _INSIDE = {
 {count}    return model_balance(t, q, v, k->input, L_v, F, L_vq, L_vv, F_q, F_v, k->constraint_ctx);
 }}
 
-DAL_KERNEL_APART int model_start(dal_kernel *k, double t, const double *q, const double *v,
+DAL_KERNEL_NOINLINE int model_start(dal_kernel *k, double t, const double *q, const double *v,
     double *L_v, double *F)
 {{
     return model_inside_balance(k, t, q, v, L_v, F, NULL, NULL, NULL, NULL);
@@ -510,7 +510,7 @@ def _lanes(made: Program, model: Model) -> None:
         macros = {"N": model.n, "M": model.m}
         zeros = pattern(model)
         macros["LANES_PATTERN"] = zeros.initializer()
-        macros["LANES_STEADY"] = int(zeros.steady) + int(zeros.apart)
+        macros["LANES_STEADY"] = int(zeros.steady) + int(zeros.force_after_S)
         if model.m > 0:
             u = "u, " if model.is_driven else ""
             macros["LANES_CONSTRAINT(t, q, v, phi, mu, N, u, p)"] = (
@@ -526,7 +526,7 @@ def _lanes(made: Program, model: Model) -> None:
             }  # fmt: skip
         elif force:
             arguments = "t, q, u, V_q" if force == "pull" else "t, q, NULL, V_q, NULL"
-            macros["LANES_PULL(t, q, V_q, u, p)"] = (
+            macros["LANES_FORCE(t, q, V_q, u, p)"] = (
                 f"(void)DAL_LANES(model_{force})({arguments}, p)"
             )
         for name, text in macros.items():
@@ -630,7 +630,7 @@ def _definition(model: Model, fast: bool, compact: bool) -> list[str]:
         found.append(".sparsity = &model_sparsity")
     if derived.mass is not None and derived.kind == "linear":
         zeros = pattern(model)
-        found.append(f".steady = {2 * int(zeros.steady) + int(zeros.apart)}")
+        found.append(f".steady = {2 * int(zeros.steady) + int(zeros.force_after_S)}")
     return found
 
 

@@ -131,7 +131,7 @@ DAL_KERNEL_INLINE void DAL_LANES(forms)(dal_vec t, const dal_vec *q, const dal_v
 #define DAL_LANES_PATTERN EDGE_PATTERN
 #define DAL_LANES_STEADY 0
 #define DAL_LANES_CONSTRAINT(t, q, v, phi, mu, N, u, p) DAL_LANES(forms)(t, q, v, mu, N, p)
-#define DAL_LANES_PULL(t, q, V_q, u, p) DAL_LANES(pull)(t, q, V_q, p)
+#define DAL_LANES_FORCE(t, q, V_q, u, p) DAL_LANES(pull)(t, q, V_q, p)
 #include "dalembert/lanes.h"
 
 static const dal_lanes_routine routines[] = {{2, 4, 0, advance_edge}, {0, 0, 0, NULL}};
@@ -142,7 +142,7 @@ static const dal_lanes_routine routines[] = {{0, 0, 0, NULL}};
 static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), edge_step, 0, 0,
                                       routines, NULL};
 
-enum { LANES = 2 * DAL_LANES_TURNS, SIZE = 8, STEPS = 200 };
+enum { LANES = 2 * DAL_LANES_INTERLEAVED, SIZE = 8, STEPS = 200 };
 
 static const double masses[][4] = {{2.0, 2.0, 0.75, 1.0}, {1.0, 1.5, 0.5, 0.25}};
 
