@@ -40,7 +40,7 @@ typedef int (*dal_field_fn)(double t, const double *x, const double *u, const do
                             double *xdot, void *ctx);
 
 /* A step routine compiled for one system, for the member compiled of its dal_system_def. */
-#define DAL_COMPILED_ABI 14u
+#define DAL_COMPILED_ABI 15u
 typedef struct dal_lanes_routine dal_lanes_routine;
 typedef struct dal_compiled {
     unsigned abi;  /* DAL_COMPILED_ABI, */
