@@ -32,12 +32,13 @@ static void unload(dal__worker *self, size_t first, size_t number)
     self->run.done = self->lane[number].loaded + dal__lanes_made(self->lanes, number);
 }
 
-/* Loads the member of the stepper and the run into a lane, after a step without lanes if it is one
- * with new inputs, or one that lanes cannot make. */
+/* Loads the member of the stepper and the run into a lane, after the steps without lanes: one that
+ * lanes cannot make, and the first one with new inputs. */
 static int reload(dal__worker *self, size_t number, bool stopped)
 {
     dal_run *const run = &self->run;
-    const int status = stopped || inputs_change(run) ? dal_run_go(run, 1) : DAL_SUCCESS;
+    int status = stopped ? dal_run_go(run, 1) : DAL_SUCCESS;
+    if (!status && inputs_change(run)) status = dal_run_go(run, 1);
     const bool goes = !status && run->done < run->steps;
     self->lane[number] = (dal__lane){.goes = goes, .run = *run, .loaded = run->done,
                                      .expected = run->done};

@@ -466,6 +466,7 @@ DAL_KERNEL_INLINE int DAL_LANES_PART(look)(const DAL_LANES(kernel) *k, const DAL
                                            const DAL_LANES(arrays) *at, dal_mask *open)
 {
     (void)o;
+    if (DAL_M == 0) return 0;
     dal_vec inverse = at->S[0];
     for (size_t a = 1; a < DAL_M; a++) inverse *= at->S[a * (DAL_M + 1)];
     inverse = DAL_LANES(fabs)(inverse);

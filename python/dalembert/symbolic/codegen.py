@@ -357,7 +357,7 @@ def _kernel(made: Program, model: Model) -> None:
     macros["KERNEL_CONSTRAINT(k, t, q, v, mu, N)"] = constrain
     if initializer := zeros.initializer():
         macros["KERNEL_PATTERN"] = initializer
-    macros["KERNEL_STEADY"] = int(zeros.steady) + int(zeros.force_after_S)
+    macros["KERNEL_STEADY"] = int(zeros.steady) + int(zeros.apart)
     counted = {"potential": derived.function("potential"), "force": derived.function("force")}
     counted["lagrangian"] = derived.function("lagrangian")
     count = "".join(f"    k->stats.{x}_calls++;\n" for x, there in counted.items() if there)
@@ -510,7 +510,7 @@ def _lanes(made: Program, model: Model) -> None:
         macros = {"N": model.n, "M": model.m}
         zeros = pattern(model)
         macros["LANES_PATTERN"] = zeros.initializer()
-        macros["LANES_STEADY"] = int(zeros.steady) + int(zeros.force_after_S)
+        macros["LANES_STEADY"] = int(zeros.steady) + int(zeros.apart)
         if model.m > 0:
             u = "u, " if model.is_driven else ""
             macros["LANES_CONSTRAINT(t, q, v, phi, mu, N, u, p)"] = (
@@ -630,7 +630,7 @@ def _definition(model: Model, fast: bool, compact: bool) -> list[str]:
         found.append(".sparsity = &model_sparsity")
     if derived.mass is not None and derived.kind == "linear":
         zeros = pattern(model)
-        found.append(f".steady = {2 * int(zeros.steady) + int(zeros.force_after_S)}")
+        found.append(f".steady = {2 * int(zeros.steady) + int(zeros.apart)}")
     return found
 
 

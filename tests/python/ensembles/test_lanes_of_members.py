@@ -189,6 +189,20 @@ def test_inputs(hold, stride):
         many(pushed(), h=0.01, steps=70, hold=7, inputs=np.ones((20, 10, 1)))
 
 
+def test_inputs_after_a_lane_has_stopped():
+    """Where the step that a lane cannot make is the last with its inputs, the next has others."""
+    x, y, z = dal.coordinates("x y z")
+    u = sympy.Symbol("u")
+    L = (x.d**2 + y.d**2 + z.d**2) / 2 - 2000 * sympy.Max(0, x - 1) ** 2
+    wall = dal.System.from_sympy(L, [z.d - y * x.d], force={y: u - y.d / 10}, inputs=[u],
+                                 name="wall")  # fmt: skip
+    q0, v0 = np.array([0, 0.1, 0]), np.array([1, 0.4, 0.1]) * np.linspace(0.5, 3, 96)[:, None]
+    rows = {"h": 0.05, "steps": 160, "hold": 8, "inputs": RNG.normal(size=(20, 1))}
+    there, plain = (many(wall, "midpoint", q0, v0, lanes=x, **rows) for x in (True, False))
+    assert there.lanes and there.success.all() and plain.stats["full_newtons"].sum() > 20
+    assert abs(there.v - plain.v).max() <= 1e-9
+
+
 def test_steps_and_step_sizes_of_members():
     h = 0.1 / 2.0 ** np.arange(6)
     given = {"h": h, "t_end": 1}

@@ -105,6 +105,12 @@ def heavy():
     return dal.System.from_sympy(T / 2 - x**2 - y**2 * z**2, [z.d - y * x.d])
 
 
+def loose():
+    """M(q) without constraints."""
+    x, y = dal.coordinates("x y")
+    return dal.System.from_sympy(((1 + y**2) * x.d**2 + y.d**2) / 2 - x**2 - y**2 / 2)
+
+
 def dragged():
     """Constant mass, and a force that depends on v and on time: stages with and without momenta."""
     x, y, z = q = dal.coordinates("x y z")
@@ -126,7 +132,8 @@ def curved():
 
 
 ALGEBRAIC = [
-    particle_oscillator, pivoting, unconstrained, jumping, heavy, dragged, turntable, curved,
+    particle_oscillator, pivoting, unconstrained, jumping, heavy, loose, dragged, turntable,
+    curved,
 ]  # fmt: skip
 
 
@@ -222,7 +229,7 @@ def flags(request, monkeypatch, tmp_path):
 
 
 CASES = [(x, "libmvec") for x in (pivoting, unconstrained, jumping, knife_edge, sleigh, timed)]
-CASES += [(x, "libmvec") for x in (heavy, dragged, turntable, curved)]
+CASES += [(x, "libmvec") for x in (heavy, loose, dragged, turntable, curved)]
 CASES += [(timed, "libm"), (particle_oscillator, "users"), (robot, "users"), (robot, "clang")]
 
 
