@@ -564,7 +564,7 @@ static void test_bad_definitions(void)
     def.compiled = &larger;
     refused(&def, "compile it with the kernel.h of this library");
     def.compiled = &older;
-    refused(&def, "number 13");
+    refused(&def, "number 14");
     def = good;
     def.steady = 0;
     def.force = no_force;
