@@ -244,7 +244,7 @@ static int factor_rows(dal_kernel *k, double b)
     const dal_arrays *const at = &k->at;
     const dal_rows *const rows = at->rows;
     dal__linear *const S = &self->S;
-    for (size_t a = 0; a < k->m; a++) { /* the sizes of dal_kernel_factor */
+    for (size_t a = 0; a < k->m; a++) { /* the sizes of factor_S in stage.h */
         double size = -0.0;
         for (size_t e = rows->first[a]; e < rows->first[a + 1]; e++) {
             self->turned[e] = at->mu[e] + b * at->N[e];
