@@ -59,7 +59,7 @@ void dal__newton_restore(newton *solver, const double *values)
     for (size_t a = 0; a < m; a++) solver->lambda[a] = values[1 + n + a];
 }
 
-/* The sizes of S, as in factor_S of stage.h: what is lost where mu and a phi_q cancel in B counts. */
+/* The sizes of S, as in factor_S of stage.h: losses where mu and a phi_q cancel in B count. */
 static void size_S(newton *s)
 {
     const dal_mechanics *const mech = s->mech;
