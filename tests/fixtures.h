@@ -600,4 +600,15 @@ static inline void unmix(size_t m, const double *q, const double *g, double *f)
     }
 }
 
+/* A stepper of the system with these options is refused with these words. */
+#define STEPPER_REFUSED(system, name, words, ...) \
+    do { \
+        const dal_scheme scheme = find_scheme(name); \
+        dal_stepper *made = NULL; \
+        dal_error error = {0}; \
+        const int status = dal_stepper_new(&made, system, &scheme, &(dal_options){__VA_ARGS__}, \
+                                           &error); \
+        CHECK(status < 0 && !made && strstr(error.text, words) != NULL); \
+    } while (0)
+
 #endif /* DALEMBERT_TESTS_FIXTURES_H */

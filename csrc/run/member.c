@@ -80,7 +80,7 @@ static void count_events(const dal__worker *self, size_t *happened)
     for (size_t j = 0; self->run.ended && j < e->happenings; j++) happened[e->happened[j].event]++;
 }
 
-/* What is known when the member is over. */
+/* Stores the results that a member has at its end. */
 static void conclude(dal__worker *self)
 {
     const dal_members *const members = self->members;

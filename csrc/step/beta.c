@@ -264,7 +264,7 @@ static void solve_rows(const dal_kernel *k)
     dal__linear_solve(&((const beta *)k)->S, k->at.r, k->at.d);
 }
 
-/* What stages with momenta need. */
+/* The arrays of stages with momenta. */
 static void reserve_momenta(dal_kernel *k, size_t n, size_t m, size_t kinds, arena *a)
 {
     const size_t nn = dal__times(n, n);

@@ -137,7 +137,7 @@ static void read(const dal__lanes *lanes, size_t lane, size_t i, size_t count, d
 
 /* ---- members ---------------------------------------------------------------------------- */
 
-/* What stages with momenta need from step to step. */
+/* The values that stages with momenta pass from step to step. */
 static void put_momenta(const dal__lanes *lanes, size_t lane, const dal_kernel *k)
 {
     const dal_lanes_layout *const to = &lanes->places;

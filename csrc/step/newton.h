@@ -28,7 +28,7 @@ void dal__newton_forget(newton *solver);
 size_t dal__newton_save(const newton *solver, double *values);
 void dal__newton_restore(newton *solver, const double *values);
 /* One beta-scheme with step h (of either sign) at time t from x[2n], in place; kappa[m] = h lambda.
- * end, alpha, kept: as in dal__step_begin.  What was done is added to stats; the text of a failure
+ * end, alpha, kept: as in dal__step_begin.  Operations are counted in stats; the text of a failure
  * is in mech->error. */
 int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double alpha,
                      double beta, double h, bool kept, double *x, double *kappa, dal_stats *stats);

@@ -12,7 +12,7 @@ typedef struct dal__scaling {
     dal__snapshot before; /* a step */
     arena arena;
 } dal__scaling;
-/* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */
+/* Takes the options for it; DAL_EINVAL, DAL_EUNSUPPORTED. */
 int dal__scaling_make(dal_stepper *stepper, const dal_options *options, dal_error *error);
 /* *energy <- that of x[2n], where they start, which is 0 where they are not wanted.  The errors of
  * the callbacks, DAL_EUNSUPPORTED; the text is in mech->error. */

@@ -318,30 +318,20 @@ static void test_saved(void)
     }
 }
 
-#define REFUSED(name, words, ...) \
-    do { \
-        const dal_scheme scheme = find_scheme(name); \
-        dal_stepper *made = NULL; \
-        dal_error error = {0}; \
-        const int status = dal_stepper_new(&made, system, &scheme, &(dal_options){__VA_ARGS__}, \
-                                           &error); \
-        CHECK(status < 0 && !made && strstr(error.text, words) != NULL); \
-    } while (0)
-
 static void test_refused(void)
 {
     dal_system *const system = open_system("knife_edge");
-    REFUSED("leapfrog", "no error estimate", .tolerance = 1e-6);
-    REFUSED("explicit", "no error estimate", .tolerance = 1e-6);
-    REFUSED("reference", "no error estimate", .tolerance = 1e-6);
-    REFUSED("pair:0.5:0.5", "no error estimate", .tolerance = 1e-6);
-    REFUSED("midpoint-nodes", "depends on h", .tolerance = 1e-6);
-    REFUSED("leapfrog-kl6", "options.tolerance = 1", .tolerance = 1.0);
-    REFUSED("leapfrog-kl6", "options.tolerance = -1", .tolerance = -1.0);
-    REFUSED("leapfrog-kl6", "options.tolerance = 1e-15", .tolerance = 1e-15);
-    REFUSED("leapfrog-kl6", "options.tolerance = nan", .tolerance = (double)NAN);
-    REFUSED("leapfrog-kl6", "options.tolerance = 0", .h_max = 1.0);
-    REFUSED("leapfrog-kl6", "options.h_max = -1", .tolerance = 1e-6, .h_max = -1.0);
+    STEPPER_REFUSED(system, "leapfrog", "no error estimate", .tolerance = 1e-6);
+    STEPPER_REFUSED(system, "explicit", "no error estimate", .tolerance = 1e-6);
+    STEPPER_REFUSED(system, "reference", "no error estimate", .tolerance = 1e-6);
+    STEPPER_REFUSED(system, "pair:0.5:0.5", "no error estimate", .tolerance = 1e-6);
+    STEPPER_REFUSED(system, "midpoint-nodes", "depends on h", .tolerance = 1e-6);
+    STEPPER_REFUSED(system, "leapfrog-kl6", "options.tolerance = 1", .tolerance = 1.0);
+    STEPPER_REFUSED(system, "leapfrog-kl6", "options.tolerance = -1", .tolerance = -1.0);
+    STEPPER_REFUSED(system, "leapfrog-kl6", "options.tolerance = 1e-15", .tolerance = 1e-15);
+    STEPPER_REFUSED(system, "leapfrog-kl6", "options.tolerance = nan", .tolerance = (double)NAN);
+    STEPPER_REFUSED(system, "leapfrog-kl6", "options.tolerance = 0", .h_max = 1.0);
+    STEPPER_REFUSED(system, "leapfrog-kl6", "options.h_max = -1", .tolerance = 1e-6, .h_max = -1.0);
     const dal_scheme kl6 = find_scheme("leapfrog-kl6");
     dal_stepper *const plain = open_stepper(system, &kl6, NULL);
     dal_stepper *const stepper = controlled(system, "leapfrog-kl6", 1e-6);

@@ -456,35 +456,25 @@ static void test_saved(void)
     }
 }
 
-#define REFUSED(system, name, words, ...) \
-    do { \
-        const dal_scheme scheme = find_scheme(name); \
-        dal_stepper *made = NULL; \
-        dal_error error = {0}; \
-        const int status = dal_stepper_new(&made, system, &scheme, &(dal_options){__VA_ARGS__}, \
-                                           &error); \
-        CHECK(status < 0 && !made && strstr(error.text, words) != NULL); \
-    } while (0)
-
 static void test_refused(void)
 {
     dal_system *const system = open_system("knife_edge");
     dal_system *const curved = open_system("rolling_disc");
     dal_system *const affine = open_system("ball_on_table");
-    REFUSED(system, "leapfrog", "a symmetric composition", .eps = 0.1);
-    REFUSED(system, "midpoint", "a symmetric composition", .eps = 0.1);
-    REFUSED(system, "explicit", "a symmetric composition", .eps = 0.1);
-    REFUSED(system, "reference", "a symmetric composition", .eps = 0.1);
-    REFUSED(system, "pair:0.5:0.5", "a symmetric composition", .eps = 0.1);
-    REFUSED(system, "midpoint-nodes", "a symmetric composition", .eps = 0.1);
-    REFUSED(system, "bm6", "options.eps = 0.25: expected a positive number up to 0.2",
+    STEPPER_REFUSED(system, "leapfrog", "a symmetric composition", .eps = 0.1);
+    STEPPER_REFUSED(system, "midpoint", "a symmetric composition", .eps = 0.1);
+    STEPPER_REFUSED(system, "explicit", "a symmetric composition", .eps = 0.1);
+    STEPPER_REFUSED(system, "reference", "a symmetric composition", .eps = 0.1);
+    STEPPER_REFUSED(system, "pair:0.5:0.5", "a symmetric composition", .eps = 0.1);
+    STEPPER_REFUSED(system, "midpoint-nodes", "a symmetric composition", .eps = 0.1);
+    STEPPER_REFUSED(system, "bm6", "options.eps = 0.25: expected a positive number up to 0.2",
             .eps = 0.25);
-    REFUSED(system, "bm6", "options.eps = -0.1", .eps = -0.1);
-    REFUSED(system, "bm6", "options.eps = nan", .eps = (double)NAN);
-    REFUSED(system, "bm6", "tolerance = 0.001", .eps = 0.1, .tolerance = 1e-3);
-    REFUSED(system, "bm6", "h_max = 1", .eps = 0.1, .h_max = 1.0);
-    REFUSED(curved, "bm6", "a mass that depends on q, or terms", .eps = 0.1);
-    REFUSED(affine, "bm6", "constraints that are not linear", .eps = 0.1);
+    STEPPER_REFUSED(system, "bm6", "options.eps = -0.1", .eps = -0.1);
+    STEPPER_REFUSED(system, "bm6", "options.eps = nan", .eps = (double)NAN);
+    STEPPER_REFUSED(system, "bm6", "tolerance = 0.001", .eps = 0.1, .tolerance = 1e-3);
+    STEPPER_REFUSED(system, "bm6", "h_max = 1", .eps = 0.1, .h_max = 1.0);
+    STEPPER_REFUSED(curved, "bm6", "a mass that depends on q, or terms", .eps = 0.1);
+    STEPPER_REFUSED(affine, "bm6", "constraints that are not linear", .eps = 0.1);
     dal_system_def def = system->def;
     dal_system *other = NULL;
     def.compiled = NULL;
@@ -494,11 +484,11 @@ static void test_refused(void)
     def.steady = 0;
     def.time_dependent = 1;
     other = new_system(&def);
-    REFUSED(other, "bm6", "dependence on time", .eps = 0.1);
+    STEPPER_REFUSED(other, "bm6", "dependence on time", .eps = 0.1);
     def.time_dependent = 0;
     def.force = no_force;
     other = new_system(&def);
-    REFUSED(other, "bm6", "a force", .eps = 0.1);
+    STEPPER_REFUSED(other, "bm6", "a force", .eps = 0.1);
 
     static const dal_substep crooked[] = {{0.5, 0.25}, {0.5, 0.5}, {0.5, 0.125}, {0.5, 0.125}};
     static const dal_substep lopsided[] = {{0.0, 0.25}, {0.5, 0.5}, {0.0, 0.25}};

@@ -407,7 +407,7 @@ def width(system, scheme="midpoint"):
 
 
 def test_models_without_lanes():
-    """Of many coordinates: the library is the ordinary one."""
+    """A model with nine coordinates has the ordinary library."""
     pushed = dal.System.from_sympy(free(dal.coordinates(" ".join(f"x{i}" for i in range(9)))))
     assert not codegen.has_lanes(pushed._model)
     assert library(pushed._model, lanes=True) is library(pushed._model)
