@@ -112,7 +112,7 @@ DAL_LU_INLINE bool field_of(dal_mechanics *mech, size_t n, size_t m, size_t next
     const dal_field_terms terms = {
         .F = mech->force, .mu = at->mu, .g = at->phi_t, .next = next,
         .inverse = mech->eval.system->mass_inverse, .Z = gram->Z, .C = gram->C.A,
-        .share = gram->C.sizes, .lambda = mech->lambda, .w = gram->C.sizes + m};
+        .lambda = mech->lambda, .w = gram->C.sizes};
     dal_field_zeros has = DAL_FIELD_ALL;
     const char *name = NULL;
     const int returned = call_for_terms(mech, n, m, t, x, &name);

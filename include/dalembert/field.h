@@ -68,36 +68,53 @@ typedef struct dal_field_terms {
     const double *F, *mu, *g; /* [n], [m*n], [m] */
     const double *inverse;    /* M^-1: its diagonal where M is diagonal, */
     size_t next;              /* from one entry to the next of it; or [n*n], and 0; unless */
-    double *M, *pivot;        /* [n*n], which is overwritten, and [n] are given */
+    double *M;                /* [n*n], which is overwritten, is given */
     double *Z;                /* [m*n] */
-    double *C, *share;        /* [m*m], [m] */
+    double *C;                /* [m*m] */
     bool given;               /* C is known before, its lower triangle at least */
     double *lambda;           /* [m] */
     double *w;                /* [2*m], and [2*n] if there is an M */
 } dal_field_terms;
 
-/* Factors A[n*n], of which the lower triangle is read: L replaces A below the diagonal, and
- * pivot[n] <- D^-1.  Returns whether A is positive definite and not too ill-conditioned.  The array
- * w[2*n] is workspace. */
+/* Defines a function, for numbers of a type, that factors A[n*n] as L D L^T.  The lower half of A
+ * is read; L, D^-1 and L^T replace A.  Returns false unless definite is true and each pivot exceeds
+ * least times its entry of diagonal[n]. */
+#define DAL_FIELD_ELIMINATION(name, real, flag, UNROLL) \
+    DAL_LU_INLINE flag name(size_t n, unsigned long long mask, real *A, const real *diagonal, \
+                            double least, flag definite) \
+    { \
+        UNROLL \
+        for (size_t j = 0; j < n; j++) { \
+            const real pivot = A[j * n + j], inverse = 1.0 / pivot; \
+            definite = definite & (pivot > least * diagonal[j]); \
+            A[j * n + j] = inverse; \
+            UNROLL \
+            for (size_t i = j + 1; i < n; i++) { \
+                if (!DAL_KERNEL_HAS(mask, i * n + j)) continue; \
+                const real entry = A[i * n + j]; \
+                A[i * n + j] = A[j * n + i] = entry * inverse; \
+                UNROLL \
+                for (size_t c = j + 1; c <= i; c++) \
+                    if (DAL_KERNEL_HAS(mask, c * n + j)) A[i * n + c] -= entry * A[j * n + c]; \
+            } \
+        } \
+        return definite; \
+    }
+DAL_FIELD_ELIMINATION(dal_field_eliminate, double, bool, )
+
+/* Replaces A[n*n] by these factors.  Returns whether A is positive definite and not too
+ * ill-conditioned.  The array w[2*n] is workspace. */
 DAL_LU_INLINE bool dal_field_factor(size_t n, unsigned long long L, unsigned long long inverse,
-                                    double *A, double *pivot, double *w)
+                                    double *A, double *w)
 {
     double *const diagonal = w, *const column = w + n;
     double trace = 0.0;
     for (size_t j = 0; j < n; j++) diagonal[j] = A[j * n + j];
-    for (size_t j = 0; j < n; j++) {
-        if (!(A[j * n + j] > 0.0)) return false;
-        pivot[j] = 1.0 / A[j * n + j];
-        for (size_t i = j + 1; i < n; i++) { /* above the diagonal stands D L^T */
-            if (!DAL_KERNEL_HAS(L, i * n + j)) continue;
-            A[j * n + i] = A[i * n + j];
-            A[i * n + j] *= pivot[j];
-            for (size_t k = j + 1; k <= i; k++)
-                if (DAL_KERNEL_HAS(L, k * n + j)) A[i * n + k] -= A[i * n + j] * A[j * n + k];
-        }
-    }
-    for (size_t j = 0; n > 1 && j < n; j++) { /* the columns of L^-1 */
-        double entry = pivot[j]; /* (A^-1)_jj */
+    (void)dal_field_eliminate(n, L, A, diagonal, 0.0, true);
+    for (size_t j = 0; j < n; j++) { /* the columns of L^-1 */
+        double entry = A[j * n + j]; /* (A^-1)_jj */
+        if (!(entry > 0.0)) return false;
+        if (n == 1) break; /* the condition is 1 */
         column[j] = 1.0;
         for (size_t i = j + 1; i < n; i++) {
             if (!DAL_KERNEL_HAS(inverse, i * n + j)) continue;
@@ -106,7 +123,7 @@ DAL_LU_INLINE bool dal_field_factor(size_t n, unsigned long long L, unsigned lon
                 if (DAL_KERNEL_HAS(L, i * n + k) && DAL_KERNEL_HAS(inverse, k * n + j))
                     sum -= A[i * n + k] * column[k];
             column[i] = sum;
-            entry += sum * sum * pivot[i];
+            entry += sum * sum * A[i * n + i];
         }
         trace += diagonal[j] * entry;
     }
@@ -114,13 +131,12 @@ DAL_LU_INLINE bool dal_field_factor(size_t n, unsigned long long L, unsigned lon
 }
 
 /* x[n] <- A^-1 x of these factors. */
-DAL_LU_INLINE void dal_field_substitute(size_t n, unsigned long long L, const double *A,
-                                        const double *pivot, double *x)
+DAL_LU_INLINE void dal_field_substitute(size_t n, unsigned long long L, const double *A, double *x)
 {
     for (size_t i = 1; i < n; i++)
         for (size_t k = 0; k < i; k++)
             if (DAL_KERNEL_HAS(L, i * n + k)) x[i] -= A[i * n + k] * x[k];
-    for (size_t i = 0; i < n; i++) x[i] *= pivot[i];
+    for (size_t i = 0; i < n; i++) x[i] *= A[i * n + i];
     for (size_t i = n; i-- > 0;)
         for (size_t k = i + 1; k < n; k++)
             if (DAL_KERNEL_HAS(L, k * n + i)) x[i] -= A[k * n + i] * x[k];
@@ -132,7 +148,7 @@ DAL_LU_INLINE void dal_field_accelerate(size_t n, dal_field_zeros has, const dal
 {
     if (w->M) {
         for (size_t i = 0; i < n; i++) y[i] = DAL_KERNEL_HAS(given, i) ? f[i] : 0.0;
-        dal_field_substitute(n, has.L, w->M, w->pivot, y);
+        dal_field_substitute(n, has.L, w->M, y);
         return;
     }
     for (size_t i = 0; i < n; i++) {
@@ -158,7 +174,7 @@ DAL_LU_INLINE bool dal_field_solve(size_t n, size_t m, dal_field_zeros has,
 {
     double *const Z = w->Z, *const C = w->C, *const vdot = xdot + n;
     const double *const mu = w->mu;
-    if (w->M && !dal_field_factor(n, has.L, has.inverse, w->M, w->pivot, w->w)) return false;
+    if (w->M && !dal_field_factor(n, has.L, has.inverse, w->M, w->w)) return false;
     for (size_t i = 0; i < n; i++) xdot[i] = v[i];
     if (has.F) dal_field_accelerate(n, has, w, has.F, w->F, vdot);
     for (size_t a = 0; a < m; a++) {
@@ -175,8 +191,8 @@ DAL_LU_INLINE bool dal_field_solve(size_t n, size_t m, dal_field_zeros has,
             C[a * m + b] = entry;
         }
     }
-    if (!dal_field_factor(m, DAL_KERNEL_ALL, DAL_KERNEL_ALL, C, w->share, w->w)) return false;
-    dal_field_substitute(m, DAL_KERNEL_ALL, C, w->share, w->lambda);
+    if (!dal_field_factor(m, DAL_KERNEL_ALL, DAL_KERNEL_ALL, C, w->w)) return false;
+    dal_field_substitute(m, DAL_KERNEL_ALL, C, w->lambda);
     double total = 0.0; /* not finite where an entry is not */
     for (size_t i = 0; i < n; i++) {
         double sum = has.F ? 0.0 + vdot[i] : 0.0; /* which leaves no -0.0 */

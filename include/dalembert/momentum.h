@@ -218,32 +218,8 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_within)(dal_kernel_of *k, const da
     return settled;
 }
 
-/* Whether A[n*n] is positive definite: by the pivots of L D L^T, beside its diagonal.  In the lower
- * half of A are then L, and D^-1. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_definite)(const dal_kernel_of *k,
-                                                        unsigned long long mask, dal_real *A,
-                                                        const dal_real *diagonal)
-{
-    DAL_KERNEL_SIZES;
-    (void)k;
-    dal_flag definite = DAL_FLAG(true);
-    DAL_KERNEL_UNFOLD
-    for (size_t j = 0; j < n; j++) {
-        const dal_real pivot = A[j * n + j], inverse = 1.0 / pivot;
-        definite = DAL_ALSO(definite, pivot > DAL_MOMENTUM_PIVOT * diagonal[j]);
-        A[j * n + j] = inverse;
-        DAL_KERNEL_UNFOLD
-        for (size_t i = j + 1; i < n; i++) {
-            if (!DAL_KERNEL_HAS(mask, i * n + j)) continue;
-            const dal_real entry = A[i * n + j];
-            A[i * n + j] *= inverse;
-            DAL_KERNEL_UNFOLD
-            for (size_t c = j + 1; c <= i; c++)
-                if (DAL_KERNEL_HAS(mask, c * n + j)) A[i * n + c] -= entry * A[c * n + j];
-        }
-    }
-    return definite;
-}
+/* Whether A[n*n] is positive definite, by the pivots of L D L^T. */
+DAL_FIELD_ELIMINATION(DAL_KERNEL_PART(is_definite), dal_real, dal_flag, DAL_KERNEL_UNFOLD)
 
 /* unit, per_unit <- those of residual.h for the metric L_vv, from L and D^-1 of is_definite: column
  * j of L^-1 determines (M^-1)_jj. */
@@ -349,7 +325,8 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(build_K)(const dal_kernel_of *k, cons
             factors[ij] = K[ij] = balance->L_vv[ij] + DAL_KERNEL_PART(turn)(o, of, balance, ij);
     }
     if (!of->constant)
-        regular = DAL_KERNEL_PART(is_definite)(k, o->has.K, balance->L_vv, theta);
+        regular = DAL_KERNEL_PART(is_definite)(n, o->has.K, balance->L_vv, theta,
+                                               DAL_MOMENTUM_PIVOT, regular);
     if (!DAL_ANY(regular)) return regular;
     regular = DAL_ALSO(regular, DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms));
     if (!DAL_ANY(regular)) return regular;

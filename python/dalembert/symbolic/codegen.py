@@ -387,8 +387,8 @@ def _kernel(made: Program, model: Model) -> None:
 def _field(made: Program, model: Model) -> None:
     """Write the ODE on D."""
     n, m, moves = model.n, model.m, model.derived.mass is None
-    sizes = {"F": n, "mu": m * n, "g": m, "Z": m * n, "C": m * m, "share": m, "lambda": m,
-             "w": 2 * n} | ({"M": n * n, "pivot": n} if moves else {})  # fmt: skip
+    sizes = {"F": n, "mu": m * n, "g": m, "Z": m * n, "C": m * m, "lambda": m, "w": 2 * n}
+    sizes |= {"M": n * n} if moves else {}
     arrays = ", ".join(f"{name}[{max(size, 1)}]" for name, size in sizes.items())
     members = ", ".join(f".{name} = {name}" for name in sizes)
     masses = "" if moves else ", .inverse = mass_inverse"
