@@ -60,14 +60,14 @@ typedef struct DAL_ARRAYS(traits) {
 } DAL_ARRAYS(traits);
 
 /* The additional properties of a stage of momentum.h. */
-typedef struct DAL_ARRAYS(spans) {
+typedef struct DAL_ARRAYS(momentum_traits) {
     dal_real b, early, late;  /* B h, h start, h end */
     bool pushed, late_pushed; /* whether the last two are not 0 */
     bool constant;            /* M */
     bool linear, nonlinear;   /* the constraints */
     bool still;               /* q~' is q_k, */
     bool known;               /* and mu(q~') is mu_k */
-} DAL_ARRAYS(spans);
+} DAL_ARRAYS(momentum_traits);
 
 /* The state of the iteration of a stage. */
 typedef struct DAL_ARRAYS(progress) {

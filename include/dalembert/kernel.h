@@ -379,7 +379,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define dal_balance_of dal_balance
 #define dal_traits_of dal_traits
 #define dal_progress_of dal_progress
-#define dal_spans_of dal_spans
+#define dal_momentum_traits_of dal_momentum_traits
 #define DAL_NUMBER(x) (x)
 #define DAL_ABS(x) fabs(x)
 #define DAL_SQRT(x) sqrt(x)
@@ -392,7 +392,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_AND(a, b) ((a) && (b))
 #define DAL_OR(a, b) ((a) || (b))
 #define DAL_ALSO(a, b) ((a) & (b)) /* and, both evaluated */
-#define DAL_COUNT_ITERATION(k, at, which) ((k)->stats.iterations++)
+#define DAL_COUNT_ITERATION(k, work, which) ((k)->stats.iterations++)
 #define DAL_LEAVE_UNLESS(open, condition) \
     if (!(condition)) return 1
 #define DAL_GOING(k) true /* the lanes that make the stage */
@@ -403,13 +403,13 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_ROWS_DOT(rows, A, a, x) dal_rows_dot(rows, A, a, x)
 #define DAL_ROWS_EXTENT(rows, A, a, x) dal_rows_extent(rows, A, a, x)
 #define DAL_ROWS_COLUMN(rows, A, i, c) dal_rows_column(rows, A, i, c)
-#define DAL_CONSTRAINT(k, at, which, t, q, v, mu, N) DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N)
-#define DAL_POTENTIAL(k, at, which, t, q, V_q) DAL_KERNEL_POTENTIAL(k, t, q, V_q)
+#define DAL_CONSTRAINT(k, work, which, t, q, v, mu, N) DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N)
+#define DAL_POTENTIAL(k, work, which, t, q, V_q) DAL_KERNEL_POTENTIAL(k, t, q, V_q)
 #define DAL_DRAG(k, t, q, v, V_q) dal_kernel_drag(k, t, q, v, V_q)
-#define DAL_FORMS(k, at, which, t, q, v, phi, mu, N) DAL_KERNEL_FORMS(k, t, q, v, phi, mu, N)
-#define DAL_BALANCE(k, at, which, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v) \
+#define DAL_FORMS(k, work, which, t, q, v, phi, mu, N) DAL_KERNEL_FORMS(k, t, q, v, phi, mu, N)
+#define DAL_BALANCE(k, work, which, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v) \
     DAL_KERNEL_BALANCE(k, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v)
-#define DAL_VALUES(k, at, which, t, q, v, L_v, F, late) \
+#define DAL_VALUES(k, work, which, t, q, v, L_v, F, late) \
     DAL_KERNEL_VALUES(k, t, q, v, L_v, F, late)
 #define DAL_START(k, t, q, v, L_v, F) DAL_KERNEL_START(k, t, q, v, L_v, F)
 #define DAL_COUNT_START(counts, which)
@@ -482,11 +482,11 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(take_masses)(const dal_kernel_of *k, dal_
 #endif
 
 /* With an infinite w stored is infinite too, or NaN where b = 0. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_finite)(size_t n, const dal_arrays_of *at)
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_finite)(size_t n, const dal_arrays_of *work)
 {
     dal_real total = DAL_NUMBER(-0.0);
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) total += at->stored[i];
+    for (size_t i = 0; i < n; i++) total += work->stored[i];
     return DAL_ABS(total) <= DBL_MAX;
 }
 
@@ -500,50 +500,50 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(take)(size_t n, bool all, bool which, con
 }
 
 /* V_q at q~' becomes that at q~. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(pass_on)(dal_kernel *k, const dal_arrays *at, size_t n,
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(pass_on)(dal_kernel *k, const dal_arrays *work, size_t n,
                                                 bool ends, bool all, bool made, double *force1)
 {
-    (void)at, (void)n, (void)all, (void)made;
+    (void)work, (void)n, (void)all, (void)made;
     if (!ends) return;
     k->force1 = k->force0;
     k->force0 = force1;
 }
 
 /* Check of C if the determinant of the factored S leaves its range. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(look)(dal_kernel *k, const dal_traits *o,
-                                            const dal_arrays *at, bool *open)
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(look)(dal_kernel *k, const dal_traits *traits,
+                                            const dal_arrays *work, bool *open)
 {
     DAL_KERNEL_SIZES;
     (void)open;
     if (m == 0) return DAL_SUCCESS;
-    const double inverse = at->rows ? at->S[0] : dal_lu_inverse_determinant(m, at->S);
+    const double inverse = work->rows ? work->S[0] : dal_lu_inverse_determinant(m, work->S);
     if (DAL_KERNEL_RARE(!(k->range[0] <= inverse && inverse <= k->range[1]))) {
-        DAL_KERNEL_COPY(2 * n, at->x, k->at.x);
-        return k->look(k, o->number, o->stage, inverse);
+        DAL_KERNEL_COPY(2 * n, work->x, k->at.x);
+        return k->look(k, traits->number, traits->stage, inverse);
     }
     return DAL_SUCCESS;
 }
 
 /* k->finish completes the stage; a state that is not finite is not solved. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits *o,
-                                                 const dal_arrays *at, bool *solved, bool *made)
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits *traits,
+                                                 const dal_arrays *work, bool *solved, bool *made)
 {
     DAL_KERNEL_SIZES;
-    *solved = *solved && DAL_KERNEL_PART(is_finite)(n, at);
-    DAL_KERNEL_COPY(2 * n, at->x, k->at.x);
-    DAL_KERNEL_COPY(n, at->w, k->at.w);
-    DAL_KERNEL_COPY(n, at->v_known, k->at.v_known);
-    DAL_KERNEL_COPY(n, at->stored, k->at.stored);
-    const int status = k->finish(k, o->number, o->stage, *solved);
+    *solved = *solved && DAL_KERNEL_PART(is_finite)(n, work);
+    DAL_KERNEL_COPY(2 * n, work->x, k->at.x);
+    DAL_KERNEL_COPY(n, work->w, k->at.w);
+    DAL_KERNEL_COPY(n, work->v_known, k->at.v_known);
+    DAL_KERNEL_COPY(n, work->stored, k->at.stored);
+    const int status = k->finish(k, traits->number, traits->stage, *solved);
     if (status) return status;
-    DAL_KERNEL_COPY(n, k->at.w, at->w);
-    DAL_KERNEL_COPY(n, k->at.stored, at->stored);
+    DAL_KERNEL_COPY(n, k->at.w, work->w);
+    DAL_KERNEL_COPY(n, k->at.stored, work->stored);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) { /* finish rounds, and does not say how */
-        at->dx[i] = at->stored[i] - at->x[i];
-        at->dx[n + i] = at->w[i] - at->x[n + i];
+        work->dx[i] = work->stored[i] - work->x[i];
+        work->dx[n + i] = work->w[i] - work->x[n + i];
     }
-    if (!*solved) DAL_KERNEL_COPY(m, k->at.kappa, at->kappa);
+    if (!*solved) DAL_KERNEL_COPY(m, k->at.kappa, work->kappa);
     *made = true;
     return DAL_SUCCESS;
 }
@@ -717,7 +717,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_ABS
 #undef DAL_SQRT
 #undef DAL_ALSO
-#undef dal_spans_of
+#undef dal_momentum_traits_of
 #undef DAL_FORMS
 #undef DAL_BALANCE
 #undef DAL_VALUES

@@ -232,7 +232,7 @@ typedef union DAL_LANES(divided) {
 #define dal_balance_of DAL_LANES(balance)
 #define dal_traits_of DAL_LANES(traits)
 #define dal_progress_of DAL_LANES(progress)
-#define dal_spans_of DAL_LANES(spans)
+#define dal_momentum_traits_of DAL_LANES(momentum_traits)
 #define DAL_ARRAYS(name) DAL_LANES(name)
 #include <dalembert/arrays.h>
 
@@ -248,7 +248,7 @@ typedef union DAL_LANES(divided) {
 #define DAL_AND(a, b) ((a) & (b))
 #define DAL_OR(a, b) ((a) | (b))
 #define DAL_ALSO(a, b) ((a) & (b))
-#define DAL_COUNT_ITERATION(k, at, which) ((at)->tally[DAL_LANES_ITERATIONS] -= (which))
+#define DAL_COUNT_ITERATION(k, work, which) ((work)->tally[DAL_LANES_ITERATIONS] -= (which))
 #define DAL_LEAVE_UNLESS(open, condition) ((open) &= (condition))
 #define DAL_GOING(k) ((k)->going)
 #define DAL_REFUSED(k, kind, returned) ((void)(returned), -1)
@@ -262,32 +262,32 @@ typedef union DAL_LANES(divided) {
 #define DAL_FRESH(name, size, old) dal_vec name[size]
 #define DAL_EXCHANGES(name) dal_mask name[DAL_KERNEL_M * DAL_KERNEL_M]
 #if DAL_M > 0
-#define DAL_CONSTRAINT(k, at, which, t, q, v, mu, N) \
-    ((at)->tally[DAL_LANES_CONSTRAINTS] -= (which), \
+#define DAL_CONSTRAINT(k, work, which, t, q, v, mu, N) \
+    ((work)->tally[DAL_LANES_CONSTRAINTS] -= (which), \
      DAL_LANES_CONSTRAINT(t, q, v, NULL, mu, N, (k)->input, (k)->p), 0)
-#define DAL_FORMS(k, at, which, t, q, v, phi, mu, N) \
-    ((at)->tally[DAL_LANES_CONSTRAINTS] -= (which), \
+#define DAL_FORMS(k, work, which, t, q, v, phi, mu, N) \
+    ((work)->tally[DAL_LANES_CONSTRAINTS] -= (which), \
      DAL_LANES_CONSTRAINT(t, q, v, phi, mu, N, (k)->input, (k)->p), 0)
 #else
-#define DAL_CONSTRAINT(k, at, which, t, q, v, mu, N) ((void)(mu), 0)
-#define DAL_FORMS(k, at, which, t, q, v, phi, mu, N) ((void)(mu), 0)
+#define DAL_CONSTRAINT(k, work, which, t, q, v, mu, N) ((void)(mu), 0)
+#define DAL_FORMS(k, work, which, t, q, v, phi, mu, N) ((void)(mu), 0)
 #endif
 #ifdef DAL_LANES_FORCE
-#define DAL_POTENTIAL(k, at, which, t, q, V_q) \
-    ((at)->tally[DAL_LANES_FORCES] -= (which), DAL_LANES_FORCE(t, q, V_q, (k)->input, (k)->p), 0)
+#define DAL_POTENTIAL(k, work, which, t, q, V_q) \
+    ((work)->tally[DAL_LANES_FORCES] -= (which), DAL_LANES_FORCE(t, q, V_q, (k)->input, (k)->p), 0)
 #define DAL_KERNEL_POTENTIAL
 #else
-#define DAL_POTENTIAL(k, at, which, t, q, V_q) 0
+#define DAL_POTENTIAL(k, work, which, t, q, V_q) 0
 #endif
 #ifdef DAL_LANES_BALANCE
 #define DAL_KERNEL_MOMENTA
 #define DAL_KERNEL_MASS DAL_LANES_MASS
 #define DAL_KERNEL_KIND(k) DAL_LANES_KIND
-#define DAL_BALANCE(k, at, which, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v) \
-    ((at)->tally[DAL_LANES_FORCES] -= (which), \
+#define DAL_BALANCE(k, work, which, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v) \
+    ((work)->tally[DAL_LANES_FORCES] -= (which), \
      DAL_LANES_BALANCE(t, q, v, L_v, F, L_vq, L_vv, F_q, F_v, (k)->input, (k)->p), 0)
-#define DAL_VALUES(k, at, which, t, q, v, L_v, F, late) \
-    DAL_BALANCE(k, at, which, t, q, v, L_v, F, NULL, NULL, NULL, NULL)
+#define DAL_VALUES(k, work, which, t, q, v, L_v, F, late) \
+    DAL_BALANCE(k, work, which, t, q, v, L_v, F, NULL, NULL, NULL, NULL)
 #define DAL_START(k, t, q, v, L_v, F) \
     (DAL_LANES_BALANCE(t, q, v, L_v, F, NULL, NULL, NULL, NULL, (k)->input, (k)->p), 0)
 #define DAL_COUNT_START(counts, which) ((counts)[DAL_LANES_FORCES] -= (which))
@@ -451,35 +451,37 @@ DAL_KERNEL_INLINE void DAL_LANES_PART(take)(size_t n, bool all, dal_mask which,
     for (size_t i = 0; i < n; i++) old[i] = DAL_TAKE(all, which, fresh[i], old[i]);
 }
 
-DAL_KERNEL_INLINE void DAL_LANES_PART(pass_on)(DAL_LANES(kernel) *k, const DAL_LANES(arrays) *at,
+DAL_KERNEL_INLINE void DAL_LANES_PART(pass_on)(DAL_LANES(kernel) *k, const DAL_LANES(arrays) *work,
                                                size_t n, bool ends, bool all, dal_mask made,
                                                const dal_vec *force1)
 {
     if (ends) DAL_LANES_PART(take)(n, all, made, force1, k->force0);
     _Pragma("GCC unroll 8")
     for (size_t i = 0; i < DAL_LANES_COUNTED; i++)
-        k->stats.counts[i] += all ? at->tally[i] : at->tally[i] & made;
+        k->stats.counts[i] += all ? work->tally[i] : work->tally[i] & made;
 }
 
 /* Lanes stop if C has to be checked. */
-DAL_KERNEL_INLINE int DAL_LANES_PART(look)(const DAL_LANES(kernel) *k, const DAL_LANES(traits) *o,
-                                           const DAL_LANES(arrays) *at, dal_mask *open)
+DAL_KERNEL_INLINE int DAL_LANES_PART(look)(const DAL_LANES(kernel) *k,
+                                           const DAL_LANES(traits) *traits,
+                                           const DAL_LANES(arrays) *work, dal_mask *open)
 {
-    (void)o;
+    (void)traits;
     if (DAL_M == 0) return 0;
-    dal_vec inverse = at->S[0];
-    for (size_t a = 1; a < DAL_M; a++) inverse *= at->S[a * (DAL_M + 1)];
+    dal_vec inverse = work->S[0];
+    for (size_t a = 1; a < DAL_M; a++) inverse *= work->S[a * (DAL_M + 1)];
     inverse = DAL_LANES(fabs)(inverse);
     *open &= (inverse >= k->range[0]) & (inverse <= k->range[1]);
     return DAL_LANES(any)(*open) ? 0 : 1;
 }
 
 /* Lanes that have not made the stage stop. */
-DAL_KERNEL_INLINE int DAL_LANES_PART(hand_over)(DAL_LANES(kernel) *k, const DAL_LANES(traits) *o,
-                                                const DAL_LANES(arrays) *at, dal_mask *solved,
+DAL_KERNEL_INLINE int DAL_LANES_PART(hand_over)(DAL_LANES(kernel) *k,
+                                                const DAL_LANES(traits) *traits,
+                                                const DAL_LANES(arrays) *work, dal_mask *solved,
                                                 const dal_mask *made)
 {
-    (void)o, (void)at, (void)solved;
+    (void)traits, (void)work, (void)solved;
     k->going = *made;
     return 0;
 }
@@ -487,13 +489,13 @@ DAL_KERNEL_INLINE int DAL_LANES_PART(hand_over)(DAL_LANES(kernel) *k, const DAL_
 #ifdef DAL_KERNEL_MOMENTA
 /* The terms of phi at a moved state are not evaluated: lanes that need them stop. */
 DAL_KERNEL_INLINE dal_mask DAL_LANES_PART(is_moved)(const DAL_LANES(kernel) *k,
-                                                    const DAL_LANES(traits) *o,
-                                                    const DAL_LANES(spans) *of,
-                                                    const DAL_LANES(arrays) *at, dal_mask which,
+                                                    const DAL_LANES(traits) *traits,
+                                                    const DAL_LANES(momentum_traits) *mom,
+                                                    const DAL_LANES(arrays) *work, dal_mask which,
                                                     dal_mask *open)
 {
-    (void)k, (void)o, (void)at;
-    if (!of->linear) *open &= ~which;
+    (void)k, (void)traits, (void)work;
+    if (!mom->linear) *open &= ~which;
     return (dal_mask){0};
 }
 #endif

@@ -91,107 +91,111 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve)(size_t size, unsigned long long ma
 }
 
 /* ---- begin: p and F at the start, and the known part of p' */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel_of *k, const dal_traits_of *o,
-                                             const dal_spans_of *of, const dal_arrays_of *at,
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel_of *k, const dal_traits_of *traits,
+                                             const dal_momentum_traits_of *mom,
+                                             const dal_arrays_of *work,
                                              const dal_balance_of *balance, dal_flag going)
 {
     DAL_KERNEL_SIZES;
-    const dal_real *const x = at->x;
-    const bool pushed = of->pushed;
+    const dal_real *const x = work->x;
+    const bool pushed = mom->pushed;
     dal_flag unknown = DAL_AND(going, DAL_NOT(k->carried));
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
-        at->dv_known[i] = DAL_SELECT(k->carried, at->residue[n + i], DAL_NUMBER(0.0));
-    if (of->constant && DAL_ANY(unknown)) {
+        work->dv_known[i] = DAL_SELECT(k->carried, work->residue[n + i], DAL_NUMBER(0.0));
+    if (mom->constant && DAL_ANY(unknown)) {
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
             k->momentum[i] = DAL_SELECT(
-                unknown, DAL_KERNEL_PART(dot)(n, o->has.inverse, k->mass, i, x + n),
+                unknown, DAL_KERNEL_PART(dot)(n, traits->has.inverse, k->mass, i, x + n),
                 k->momentum[i]);
     }
-    if (of->constant) unknown = DAL_FLAG(false);
+    if (mom->constant) unknown = DAL_FLAG(false);
     const dal_flag forces = pushed ? DAL_OR(unknown, DAL_AND(going, DAL_NOT(k->forced)))
                                    : DAL_FLAG(false);
     if (DAL_KERNEL_RARE(DAL_ANY(DAL_OR(unknown, forces)))) {
         if (!DAL_KERNEL_LANES) DAL_KERNEL_COPY(2 * n, x, k->at.x);
-        const int status = DAL_KERNEL_PART(push)(k, o->number, o->stage, unknown, forces);
+        const int status = DAL_KERNEL_PART(push)(k, traits->number, traits->stage, unknown, forces);
         if (status) return status;
-        DAL_COUNT_START(at->tally, DAL_OR(unknown, forces));
+        DAL_COUNT_START(work->tally, DAL_OR(unknown, forces));
     }
-    const dal_real before = (o->kept ? 0.0 : o->stage->A) * k->h;
+    const dal_real before = (traits->kept ? 0.0 : traits->stage->A) * k->h;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
         const dal_real way = before * x[n + i];
-        at->dq_known[i] = at->residue[i] + way;
-        at->from[i] = x[i] + at->dq_known[i];
-        at->node[i] = o->kept ? x[i] : at->from[i];
+        work->dq_known[i] = work->residue[i] + way;
+        work->from[i] = x[i] + work->dq_known[i];
+        work->node[i] = traits->kept ? x[i] : work->from[i];
     }
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        if (pushed) at->dv_known[i] -= of->early * k->force0[i];
-        balance->known[i] = k->momentum[i] + at->dv_known[i];
+        if (pushed) work->dv_known[i] -= mom->early * k->force0[i];
+        balance->known[i] = k->momentum[i] + work->dv_known[i];
     }
     return DAL_SUCCESS;
 }
 
 /* w <- v plus the prediction of v' - v from earlier stages. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(extrapolate)(const dal_kernel_of *k, const dal_traits_of *o,
-                                                    const dal_arrays_of *at)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(extrapolate)(const dal_kernel_of *k,
+                                                    const dal_traits_of *traits,
+                                                    const dal_arrays_of *work)
 {
     DAL_KERNEL_SIZES;
-    const dal_real *const past = k->history + 4 * n * o->stage->kind;
-    DAL_WEIGHTS(weight, k, o->stage);
+    const dal_real *const past = k->history + 4 * n * traits->stage->kind;
+    DAL_WEIGHTS(weight, k, traits->stage);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
-        at->w[i] = at->x[n + i] + (weight[3] * past[3 * n + i] + weight[2] * past[2 * n + i]
-                                   + weight[1] * past[n + i] + weight[0] * past[i]);
+        work->w[i] = work->x[n + i] + (weight[3] * past[3 * n + i] + weight[2] * past[2 * n + i]
+                                       + weight[1] * past[n + i] + weight[0] * past[i]);
 }
 
 /* phi and mu at the state to be stored, and N unless NULL; mu_k if it depends on v'. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(constrain)(dal_kernel_of *k, const dal_traits_of *o,
-                                                 const dal_spans_of *of, const dal_arrays_of *at,
-                                                 dal_flag which, dal_real *phi, dal_real *N)
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(constrain)(dal_kernel_of *k, const dal_traits_of *traits,
+                                                 const dal_momentum_traits_of *mom,
+                                                 const dal_arrays_of *work, dal_flag which,
+                                                 dal_real *phi, dal_real *N)
 {
     DAL_KERNEL_SIZES;
     int returned = 0;
     (void)which;
     if (m == 0) return 0;
-    if (!of->known)
-        returned = DAL_FORMS(k, at, which, o->t_end, at->point, at->w, of->linear ? NULL : phi,
-                             at->mu, N);
-    if (returned || !of->nonlinear) return returned;
+    if (!mom->known)
+        returned = DAL_FORMS(k, work, which, traits->t_end, work->point, work->w,
+                             mom->linear ? NULL : phi, work->mu, N);
+    if (returned || !mom->nonlinear) return returned;
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) at->v_free[i] = 0.5 * (at->x[n + i] + at->w[i]);
-    return DAL_FORMS(k, at, which, DAL_KERNEL_TIME(k, o->number, o->stage->t_node), at->node,
-                     at->v_free, NULL, at->mu_node, NULL);
+    for (size_t i = 0; i < n; i++) work->v_free[i] = 0.5 * (work->x[n + i] + work->w[i]);
+    return DAL_FORMS(k, work, which, DAL_KERNEL_TIME(k, traits->number, traits->stage->t_node),
+                     work->node, work->v_free, NULL, work->mu_node, NULL);
 }
 
 /* r <- -phi at the state to be stored. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(miss)(const dal_kernel_of *k, const dal_traits_of *o,
-                                             const dal_spans_of *of, const dal_arrays_of *at,
-                                             const dal_real *phi)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(miss)(const dal_kernel_of *k, const dal_traits_of *traits,
+                                             const dal_momentum_traits_of *mom,
+                                             const dal_arrays_of *work, const dal_real *phi)
 {
     DAL_KERNEL_SIZES;
     (void)k;
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++)
-        at->r[a] = of->linear ? -DAL_KERNEL_PART(dot)(n, o->has.mu, at->mu, a, at->w) : -phi[a];
+        work->r[a] = mom->linear ? -DAL_KERNEL_PART(dot)(n, traits->has.mu, work->mu, a, work->w)
+                                 : -phi[a];
 }
 
 /* The same.  Returns those of these lanes in which every residual is at most half of its bound, and
  * updates their statistics.  Unless exact, the terms of phi, sum_i |mu^a_i v_i| + |phi^a - mu^a v|,
  * replace s^a of residual.h, which is not smaller. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_within)(dal_kernel_of *k, const dal_traits_of *o,
-                                                      const dal_spans_of *of,
-                                                      const dal_arrays_of *at,
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_within)(dal_kernel_of *k, const dal_traits_of *traits,
+                                                      const dal_momentum_traits_of *mom,
+                                                      const dal_arrays_of *work,
                                                       const dal_balance_of *balance,
                                                       dal_flag which, bool exact)
 {
     DAL_KERNEL_SIZES;
     const double limit = DAL_KERNEL_LIMIT(n);
-    const dal_real *const unit = of->constant ? k->unit : balance->unit;
-    const dal_real *const per_unit = of->constant ? k->per_unit : balance->per_unit;
-    const dal_real speed = exact ? DAL_KERNEL_PART(speed)(n, per_unit, at->w) : DAL_NUMBER(0.0);
+    const dal_real *const unit = mom->constant ? k->unit : balance->unit;
+    const dal_real *const per_unit = mom->constant ? k->per_unit : balance->per_unit;
+    const dal_real speed = exact ? DAL_KERNEL_PART(speed)(n, per_unit, work->w) : DAL_NUMBER(0.0);
     dal_real largest = k->stats.worst_residual;
     dal_flag settled = which;
     DAL_KERNEL_UNROLL
@@ -199,15 +203,15 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_within)(dal_kernel_of *k, const da
         dal_real sum = DAL_NUMBER(-0.0), terms = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
-            if (!DAL_KERNEL_HAS(o->has.mu, a * n + i)) continue;
-            const dal_real term = at->mu[a * n + i] * at->w[i];
+            if (!DAL_KERNEL_HAS(traits->has.mu, a * n + i)) continue;
+            const dal_real term = work->mu[a * n + i] * work->w[i];
             sum += term;
-            terms += exact ? DAL_ABS(at->mu[a * n + i]) * unit[i] * speed : DAL_ABS(term);
+            terms += exact ? DAL_ABS(work->mu[a * n + i]) * unit[i] * speed : DAL_ABS(term);
         }
-        const dal_real value = of->linear ? sum : balance->phi[a];
-        if (!of->linear) terms += DAL_ABS(value - sum);
-        at->r[a] = -value;
-        if (!of->linear) at->sizes[a] = DAL_TAKE(!exact, which, terms, at->sizes[a]);
+        const dal_real value = mom->linear ? sum : balance->phi[a];
+        if (!mom->linear) terms += DAL_ABS(value - sum);
+        work->r[a] = -value;
+        if (!mom->linear) work->sizes[a] = DAL_TAKE(!exact, which, terms, work->sizes[a]);
         /* nor if both are infinite */
         settled = DAL_ALSO(settled, limit * terms - DAL_ABS(value) >= 0.0);
         const dal_flag larger = DAL_ABS(value) > largest * terms;
@@ -247,34 +251,34 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(measure)(const dal_kernel_of *k, unsigned
     for (size_t j = 0; j < n; j++) balance->per_unit[j] = 1.0 / balance->unit[j];
 }
 
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_in_D)(dal_kernel_of *k, const dal_traits_of *o,
-                                                    const dal_spans_of *of,
-                                                    const dal_arrays_of *at,
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_in_D)(dal_kernel_of *k, const dal_traits_of *traits,
+                                                    const dal_momentum_traits_of *mom,
+                                                    const dal_arrays_of *work,
                                                     const dal_balance_of *balance, dal_flag which)
 {
-    const dal_flag within = DAL_KERNEL_PART(is_within)(k, o, of, at, balance, which, false);
+    const dal_flag within = DAL_KERNEL_PART(is_within)(k, traits, mom, work, balance, which, false);
     const dal_flag rest = DAL_AND(which, DAL_NOT(within));
     if (!DAL_ANY(rest)) return within;
-    if (!of->constant) DAL_KERNEL_PART(measure)(k, o->has.K, balance);
-    return DAL_OR(within, DAL_KERNEL_PART(is_within)(k, o, of, at, balance, rest, true));
+    if (!mom->constant) DAL_KERNEL_PART(measure)(k, traits->has.K, balance);
+    return DAL_OR(within, DAL_KERNEL_PART(is_within)(k, traits, mom, work, balance, rest, true));
 }
 
 #if !DAL_KERNEL_LANES
 /* The same with the moves, after is_in_D. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_moved)(dal_kernel *k, const dal_traits *o,
-                                                 const dal_spans *of, const dal_arrays *at,
-                                                 bool which, bool *open)
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_moved)(dal_kernel *k, const dal_traits *traits,
+                                                 const dal_momentum_traits *mom,
+                                                 const dal_arrays *work, bool which, bool *open)
 {
     DAL_KERNEL_SIZES;
     (void)which, (void)open;
-    if (of->linear || o->kept) return false;
-    DAL_KERNEL_COPY(n, at->point, k->at.point);
-    DAL_KERNEL_COPY(n, at->w, k->at.w);
-    if (k->measure(k, o->t_end)) return false;
+    if (mom->linear || traits->kept) return false;
+    DAL_KERNEL_COPY(n, work->point, k->at.point);
+    DAL_KERNEL_COPY(n, work->w, k->at.w);
+    if (k->measure(k, traits->t_end)) return false;
     const double *const moves = k->at.d;
     double largest = k->stats.worst_residual;
     for (size_t a = 0; a < m; a++) {
-        const double s = at->sizes[a] + moves[a], size = fabs(at->r[a]);
+        const double s = work->sizes[a] + moves[a], size = fabs(work->r[a]);
         if (!(s <= DBL_MAX && size <= DAL_KERNEL_LIMIT(n) * s)) return false;
         if (size > largest * s) largest = size / s;
     }
@@ -284,51 +288,56 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_moved)(dal_kernel *k, const dal_traits
 #endif
 
 /* The size of phi relative to its terms. */
-DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(distance)(size_t m, const dal_arrays_of *at)
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(distance)(size_t m, const dal_arrays_of *work)
 {
     dal_real most = DAL_NUMBER(0.0);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++)
-        most = DAL_SELECT(DAL_ABS(at->r[a]) > most * at->sizes[a],
-                          DAL_ABS(at->r[a]) / at->sizes[a], most);
+        most = DAL_SELECT(DAL_ABS(work->r[a]) > most * work->sizes[a],
+                          DAL_ABS(work->r[a]) / work->sizes[a], most);
     return most;
 }
 
 /* Entry ij of K without L_vv. */
-DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(turn)(const dal_traits_of *o, const dal_spans_of *of,
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(turn)(const dal_traits_of *traits,
+                                                 const dal_momentum_traits_of *mom,
                                                  const dal_balance_of *balance, size_t ij)
 {
     dal_real sum = DAL_NUMBER(-0.0);
-    if (!of->still && DAL_KERNEL_HAS(o->has.L_vq, ij)) sum += of->b * balance->L_vq[ij];
-    if (DAL_KERNEL_HAS(o->has.F_v, ij)) sum -= of->late * balance->F_v[ij];
-    if (!of->still && DAL_KERNEL_HAS(o->has.F_q, ij)) sum -= of->late * of->b * balance->F_q[ij];
+    if (!mom->still && DAL_KERNEL_HAS(traits->has.L_vq, ij)) sum += mom->b * balance->L_vq[ij];
+    if (DAL_KERNEL_HAS(traits->has.F_v, ij)) sum -= mom->late * balance->F_v[ij];
+    if (!mom->still && DAL_KERNEL_HAS(traits->has.F_q, ij))
+        sum -= mom->late * mom->b * balance->F_q[ij];
     return sum;
 }
 
 /* K and S, factored, from the evaluations at the prediction; Z; L_vv becomes its factors.  Returns
  * false if one is not regular. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(build_K)(const dal_kernel_of *k, const dal_traits_of *o,
-                                                    const dal_spans_of *of, const dal_arrays_of *at,
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(build_K)(const dal_kernel_of *k,
+                                                    const dal_traits_of *traits,
+                                                    const dal_momentum_traits_of *mom,
+                                                    const dal_arrays_of *work,
                                                     const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
     dal_real *const factors = balance->factors, *const theta = balance->theta;
-    dal_real *const K = balance->K, *const terms = at->step;
-    const dal_real b = of->b;
+    dal_real *const K = balance->K, *const terms = work->step;
+    const dal_real b = mom->b;
     dal_flag regular = DAL_FLAG(true);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
         theta[i] = balance->L_vv[i * n + i];
-        terms[i] = theta[i] + DAL_ABS(DAL_KERNEL_PART(turn)(o, of, balance, i * n + i));
+        terms[i] = theta[i] + DAL_ABS(DAL_KERNEL_PART(turn)(traits, mom, balance, i * n + i));
         DAL_KERNEL_UNROLL
         for (size_t ij = i * n; ij < (i + 1) * n; ij++)
-            factors[ij] = K[ij] = balance->L_vv[ij] + DAL_KERNEL_PART(turn)(o, of, balance, ij);
+            factors[ij] = K[ij] =
+                balance->L_vv[ij] + DAL_KERNEL_PART(turn)(traits, mom, balance, ij);
     }
-    if (!of->constant)
-        regular = DAL_KERNEL_PART(is_definite)(n, o->has.K, balance->L_vv, theta,
+    if (!mom->constant)
+        regular = DAL_KERNEL_PART(is_definite)(n, traits->has.K, balance->L_vv, theta,
                                                DAL_MOMENTUM_PIVOT, regular);
     if (!DAL_ANY(regular)) return regular;
-    regular = DAL_ALSO(regular, DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms));
+    regular = DAL_ALSO(regular, DAL_KERNEL_PART(eliminate)(n, traits->has.K, factors, terms));
     if (!DAL_ANY(regular)) return regular;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
@@ -337,67 +346,68 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(build_K)(const dal_kernel_of *k, cons
     }
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        DAL_KERNEL_COPY(n, at->mu_node + a * n, at->Z + a * n);
-        DAL_KERNEL_PART(solve)(n, o->has.K, factors, at->Z + a * n);
+        DAL_KERNEL_COPY(n, work->mu_node + a * n, work->Z + a * n);
+        DAL_KERNEL_PART(solve)(n, traits->has.K, factors, work->Z + a * n);
     }
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        at->sizes[a] = DAL_NUMBER(-0.0);
+        work->sizes[a] = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
-        for (size_t c = 0; c < m; c++) at->S[a * m + c] = DAL_NUMBER(-0.0);
+        for (size_t c = 0; c < m; c++) work->S[a * m + c] = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
-            const bool has_N = DAL_KERNEL_HAS(o->has.N, a * n + i);
-            if (!has_N && !DAL_KERNEL_HAS(o->has.mu, a * n + i)) continue;
-            const dal_real mu = at->mu[a * n + i], row = has_N ? mu + b * at->N[a * n + i] : mu;
+            const bool has_N = DAL_KERNEL_HAS(traits->has.N, a * n + i);
+            if (!has_N && !DAL_KERNEL_HAS(traits->has.mu, a * n + i)) continue;
+            const dal_real mu = work->mu[a * n + i], row = has_N ? mu + b * work->N[a * n + i] : mu;
             const dal_real entry = has_N ? DAL_ABS(mu) + DAL_ABS(row) : DAL_ABS(mu);
             DAL_KERNEL_UNROLL
             for (size_t c = 0; c < m; c++)
-                if (DAL_KERNEL_HAS(o->has.Z, c * n + i))
-                    at->S[a * m + c] += row * at->Z[c * n + i];
-            if (DAL_KERNEL_HAS(o->has.Z, a * n + i))
-                at->sizes[a] += entry * DAL_ABS(at->Z[a * n + i]);
+                if (DAL_KERNEL_HAS(traits->has.Z, c * n + i))
+                    work->S[a * m + c] += row * work->Z[c * n + i];
+            if (DAL_KERNEL_HAS(traits->has.Z, a * n + i))
+                work->sizes[a] += entry * DAL_ABS(work->Z[a * n + i]);
         }
     }
     return DAL_ALSO(regular,
-                    DAL_KERNEL_PART(eliminate)(m, DAL_KERNEL_ALL, at->S, at->sizes));
+                    DAL_KERNEL_PART(eliminate)(m, DAL_KERNEL_ALL, work->S, work->sizes));
 }
 
 /* ---- linearise: K and S at the prediction; as in kernel.h > 0 is for finish */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(linearise)(dal_kernel_of *k, const dal_traits_of *o,
-                                                 const dal_spans_of *of, const dal_arrays_of *at,
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(linearise)(dal_kernel_of *k, const dal_traits_of *traits,
+                                                 const dal_momentum_traits_of *mom,
+                                                 const dal_arrays_of *work,
                                                  const dal_balance_of *balance, dal_flag *open)
 {
-    const dal_stage *const s = o->stage;
+    const dal_stage *const s = traits->stage;
     DAL_KERNEL_SIZES;
     const dal_flag which = *open;
     int returned = 0;
     (void)which;
-    if (m > 0 && !of->nonlinear)
-        returned = DAL_FORMS(k, at, which, DAL_KERNEL_TIME(k, o->number, s->t_node), at->node,
-                                    at->x + n, NULL, at->mu_node, NULL);
+    if (m > 0 && !mom->nonlinear)
+        returned = DAL_FORMS(k, work, which, DAL_KERNEL_TIME(k, traits->number, s->t_node),
+                             work->node, work->x + n, NULL, work->mu_node, NULL);
     if (returned) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, returned);
-    if (of->known) {
-        if (DAL_KERNEL_MASS) DAL_KERNEL_COPY(m * n, at->mu_node, k->forms);
-        DAL_KERNEL_COPY(m * n, at->mu_node, at->mu);
+    if (mom->known) {
+        if (DAL_KERNEL_MASS) DAL_KERNEL_COPY(m * n, work->mu_node, k->forms);
+        DAL_KERNEL_COPY(m * n, work->mu_node, work->mu);
         DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < m * n; i++) at->N[i] = DAL_NUMBER(0.0);
+        for (size_t i = 0; i < m * n; i++) work->N[i] = DAL_NUMBER(0.0);
     }
-    returned = DAL_KERNEL_PART(constrain)(k, o, of, at, which, balance->phi, at->N);
+    returned = DAL_KERNEL_PART(constrain)(k, traits, mom, work, which, balance->phi, work->N);
     if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, returned);
     if (returned > 0) return 1;
-    returned = DAL_BALANCE(k, at, which, o->t_end, of->still ? at->node : at->point, at->w,
-                                  balance->L_v, balance->F, balance->L_vq, balance->L_vv,
-                                  balance->F_q, balance->F_v);
+    returned = DAL_BALANCE(k, work, which, traits->t_end, mom->still ? work->node : work->point,
+                           work->w, balance->L_v, balance->F, balance->L_vq, balance->L_vv,
+                           balance->F_q, balance->F_v);
     if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_BALANCE, returned);
     if (returned > 0) return 1;
-    *open = DAL_AND(which, DAL_KERNEL_PART(build_K)(k, o, of, at, balance));
-    return DAL_ANY(*open) ? DAL_KERNEL_PART(look)(k, o, at, open) : 1;
+    *open = DAL_AND(which, DAL_KERNEL_PART(build_K)(k, traits, mom, work, balance));
+    return DAL_ANY(*open) ? DAL_KERNEL_PART(look)(k, traits, work, open) : 1;
 }
 
 /* reaction <- mu_k^T kappa. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel_of *k, const dal_traits_of *o,
-                                              const dal_arrays_of *at,
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel_of *k, const dal_traits_of *traits,
+                                              const dal_arrays_of *work,
                                               const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
@@ -405,27 +415,28 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel_of *k, const dal_
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
         balance->reaction[i] =
-            m > 0 ? DAL_KERNEL_PART(column)(n, m, o->has.mu, at->mu_node, i, at->kappa)
+            m > 0 ? DAL_KERNEL_PART(column)(n, m, traits->has.mu, work->mu_node, i, work->kappa)
                   : DAL_NUMBER(0.0);
 }
 
 /* residual <- the residual of the balance of momenta. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel_of *k, const dal_spans_of *of,
-                                              const dal_arrays_of *at,
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel_of *k,
+                                              const dal_momentum_traits_of *mom,
+                                              const dal_arrays_of *work,
                                               const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        at->dx[n + i] = at->dv_known[i] + of->late * balance->F[i] + balance->reaction[i];
-        balance->residual[i] = k->momentum[i] + at->dx[n + i] - balance->L_v[i];
+        work->dx[n + i] = work->dv_known[i] + mom->late * balance->F[i] + balance->reaction[i];
+        balance->residual[i] = k->momentum[i] + work->dx[n + i] - balance->L_v[i];
     }
 }
 
 /* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N. */
 DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_rounding)(const dal_kernel_of *k,
-                                                        const dal_traits_of *o,
-                                                        const dal_arrays_of *at)
+                                                        const dal_traits_of *traits,
+                                                        const dal_arrays_of *work)
 {
     DAL_KERNEL_SIZES;
     (void)k;
@@ -435,27 +446,28 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(is_rounding)(const dal_kernel_of *k,
         dal_real terms = DAL_NUMBER(-0.0), moved = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
-            dal_real size = DAL_ABS(at->w[i]) + DAL_ABS(at->x[n + i]);
+            dal_real size = DAL_ABS(work->w[i]) + DAL_ABS(work->x[n + i]);
             DAL_KERNEL_UNROLL
             for (size_t c = 0; c < m; c++)
-                if (DAL_KERNEL_HAS(o->has.Z, c * n + i))
-                    size += DAL_ABS(at->Z[c * n + i] * at->kappa[c]);
-            if (DAL_KERNEL_HAS(o->has.mu, a * n + i)) terms += DAL_ABS(at->mu[a * n + i]) * size;
-            if (DAL_KERNEL_HAS(o->has.N, a * n + i))
-                moved += DAL_ABS(at->N[a * n + i])
-                       * (DAL_ABS(at->point[i]) + DAL_ABS(at->stored[i]));
+                if (DAL_KERNEL_HAS(traits->has.Z, c * n + i))
+                    size += DAL_ABS(work->Z[c * n + i] * work->kappa[c]);
+            if (DAL_KERNEL_HAS(traits->has.mu, a * n + i))
+                terms += DAL_ABS(work->mu[a * n + i]) * size;
+            if (DAL_KERNEL_HAS(traits->has.N, a * n + i))
+                moved += DAL_ABS(work->N[a * n + i])
+                       * (DAL_ABS(work->point[i]) + DAL_ABS(work->stored[i]));
         }
         const dal_real bound = 2.0 * DAL_KERNEL_U * (2.0 * (double)n * terms + moved);
-        roundoff = DAL_ALSO(roundoff, bound - DAL_ABS(at->r[a]) >= 0.0);
+        roundoff = DAL_ALSO(roundoff, bound - DAL_ABS(work->r[a]) >= 0.0);
     }
     return roundoff;
 }
 
 /* The terms of a row of p' that are not L_v. */
-DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(pushes)(const dal_spans_of *of,
+DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(pushes)(const dal_momentum_traits_of *mom,
                                                    const dal_balance_of *balance, size_t i)
 {
-    return DAL_ABS(balance->known[i]) + DAL_ABS(of->late * balance->F[i])
+    return DAL_ABS(balance->known[i]) + DAL_ABS(mom->late * balance->F[i])
          + DAL_ABS(balance->reaction[i]);
 }
 
@@ -464,9 +476,9 @@ DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(pushes)(const dal_spans_of *of,
  * rounding; NaN if a row is NaN.  If all terms are below DBL_MIN, roundings are not proportional to
  * them. */
 DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(imbalance)(const dal_kernel_of *k,
-                                                      const dal_traits_of *o,
-                                                      const dal_spans_of *of,
-                                                      const dal_arrays_of *at,
+                                                      const dal_traits_of *traits,
+                                                      const dal_momentum_traits_of *mom,
+                                                      const dal_arrays_of *work,
                                                       const dal_balance_of *balance,
                                                       dal_flag which)
 {
@@ -484,14 +496,15 @@ DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(imbalance)(const dal_kernel_of *k,
         DAL_KERNEL_UNROLL
         for (size_t j = 0; j < n; j++) {
             const size_t ij = i * n + j;
-            if (DAL_KERNEL_HAS(o->has.K, ij)) {
+            if (DAL_KERNEL_HAS(traits->has.K, ij)) {
                 const dal_real push =
-                    DAL_KERNEL_PART(pushes)(of, balance, j) * balance->factors[j * n + j];
-                terms += DAL_ABS(balance->K[ij]) * (DAL_ABS(at->w[j]) + push + DBL_MIN);
+                    DAL_KERNEL_PART(pushes)(mom, balance, j) * balance->factors[j * n + j];
+                terms += DAL_ABS(balance->K[ij]) * (DAL_ABS(work->w[j]) + push + DBL_MIN);
             }
-            if (DAL_KERNEL_HAS(o->has.L_vq, ij)) moved += DAL_ABS(balance->L_vq[ij] * at->point[j]);
-            if (DAL_KERNEL_HAS(o->has.F_q, ij))
-                moved += DAL_ABS(of->late * balance->F_q[ij] * at->point[j]);
+            if (DAL_KERNEL_HAS(traits->has.L_vq, ij))
+                moved += DAL_ABS(balance->L_vq[ij] * work->point[j]);
+            if (DAL_KERNEL_HAS(traits->has.F_q, ij))
+                moved += DAL_ABS(mom->late * balance->F_q[ij] * work->point[j]);
         }
         const dal_real ratio = left / (DAL_MOMENTUM_NOISE * terms + DAL_MOMENTUM_GRID * moved);
         worst = DAL_SELECT(DAL_OR(small, ratio <= worst), worst, ratio);
@@ -500,76 +513,78 @@ DAL_KERNEL_INLINE dal_real DAL_KERNEL_PART(imbalance)(const dal_kernel_of *k,
 }
 
 /* step, d <- a correction of w and kappa. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(correct_balance)(dal_kernel_of *k, const dal_traits_of *o,
-                                                        const dal_spans_of *of,
-                                                        const dal_arrays_of *at,
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(correct_balance)(dal_kernel_of *k,
+                                                        const dal_traits_of *traits,
+                                                        const dal_momentum_traits_of *mom,
+                                                        const dal_arrays_of *work,
                                                         const dal_balance_of *balance,
                                                         dal_flag open)
 {
     DAL_KERNEL_SIZES;
-    dal_real *const y = at->step;
+    dal_real *const y = work->step;
     (void)open;
     DAL_KERNEL_COPY(n, balance->residual, y);
-    DAL_KERNEL_PART(solve)(n, o->has.K, balance->factors, y);
+    DAL_KERNEL_PART(solve)(n, traits->has.K, balance->factors, y);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
         dal_real turn = DAL_NUMBER(-0.0);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
-            if (DAL_KERNEL_HAS(o->has.N, a * n + i)) turn += at->N[a * n + i] * y[i];
-        at->r[a] -= DAL_KERNEL_PART(dot)(n, o->has.mu, at->mu, a, y) + of->b * turn;
+            if (DAL_KERNEL_HAS(traits->has.N, a * n + i)) turn += work->N[a * n + i] * y[i];
+        work->r[a] -= DAL_KERNEL_PART(dot)(n, traits->has.mu, work->mu, a, y) + mom->b * turn;
     }
     if (m > 0) {
-        DAL_KERNEL_COPY(m, at->r, at->d);
-        DAL_KERNEL_PART(solve)(m, DAL_KERNEL_ALL, at->S, at->d);
+        DAL_KERNEL_COPY(m, work->r, work->d);
+        DAL_KERNEL_PART(solve)(m, DAL_KERNEL_ALL, work->S, work->d);
     }
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
-        if (m > 0) y[i] += DAL_KERNEL_PART(column)(n, m, o->has.Z, at->Z, i, at->d);
-    DAL_COUNT_ITERATION(k, at, open);
+        if (m > 0) y[i] += DAL_KERNEL_PART(column)(n, m, traits->has.Z, work->Z, i, work->d);
+    DAL_COUNT_ITERATION(k, work, open);
 }
 
 /* A correction of the open lanes, and the evaluations after it; returns as correct of stage.h. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(improve)(dal_kernel_of *k, const dal_traits_of *o,
-                                               const dal_spans_of *of, const dal_arrays_of *at,
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(improve)(dal_kernel_of *k, const dal_traits_of *traits,
+                                               const dal_momentum_traits_of *mom,
+                                               const dal_arrays_of *work,
                                                const dal_balance_of *balance,
                                                dal_progress_of *progress, dal_real *far, bool all)
 {
     DAL_KERNEL_SIZES;
     const dal_flag which = progress->open;
     (void)all, (void)which;
-    DAL_KERNEL_PART(correct_balance)(k, o, of, at, balance, which);
+    DAL_KERNEL_PART(correct_balance)(k, traits, mom, work, balance, which);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
-        at->w[i] = DAL_TAKE(all, which, at->w[i] + at->step[i], at->w[i]);
+        work->w[i] = DAL_TAKE(all, which, work->w[i] + work->step[i], work->w[i]);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++)
-        at->kappa[a] = DAL_TAKE(all, which, at->kappa[a] + at->d[a], at->kappa[a]);
-    DAL_KERNEL_PART(place)(k, o->stage, n, o->kept, false, at);
-    int returned = DAL_KERNEL_PART(constrain)(k, o, of, at, which, balance->phi, NULL);
+        work->kappa[a] = DAL_TAKE(all, which, work->kappa[a] + work->d[a], work->kappa[a]);
+    DAL_KERNEL_PART(place)(k, traits->stage, n, traits->kept, false, work);
+    int returned = DAL_KERNEL_PART(constrain)(k, traits, mom, work, which, balance->phi, NULL);
     if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_CONSTRAINT, returned);
     if (returned > 0) return 1;
-    returned = DAL_VALUES(k, at, which, o->t_end, of->still ? at->node : at->point, at->w,
-                          balance->L_v, balance->F, of->late_pushed);
+    returned = DAL_VALUES(k, work, which, traits->t_end, mom->still ? work->node : work->point,
+                          work->w, balance->L_v, balance->F, mom->late_pushed);
     if (returned < 0) return DAL_REFUSED(k, DAL_FAILED_BALANCE, returned);
     if (returned > 0) return 1;
-    DAL_KERNEL_PART(react)(k, o, at, balance);
-    DAL_KERNEL_PART(weigh)(k, of, at, balance);
-    const dal_flag settled = DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance, which);
-    const dal_real imbalance = DAL_KERNEL_PART(imbalance)(k, o, of, at, balance, which);
+    DAL_KERNEL_PART(react)(k, traits, work, balance);
+    DAL_KERNEL_PART(weigh)(k, mom, work, balance);
+    const dal_flag settled = DAL_KERNEL_PART(is_in_D)(k, traits, mom, work, balance, which);
+    const dal_real imbalance = DAL_KERNEL_PART(imbalance)(k, traits, mom, work, balance, which);
     const dal_flag stalls = DAL_NOT(imbalance <= 0.5 * progress->last);
     progress->last = imbalance;
-    const dal_real distance = of->linear ? DAL_NUMBER(0.0) : DAL_KERNEL_PART(distance)(m, at);
+    const dal_real distance = mom->linear ? DAL_NUMBER(0.0) : DAL_KERNEL_PART(distance)(m, work);
     const dal_flag stays = distance > 0.5 * *far;
     *far = distance;
     const dal_flag balanced = DAL_AND(
         which, imbalance <= DAL_SELECT(stalls, DAL_NUMBER(DAL_MOMENTUM_FLOOR), DAL_NUMBER(1.0)));
     dal_flag done = DAL_AND(balanced, settled);
     if (DAL_ANY(DAL_AND(balanced, DAL_NOT(done))))
-        done = DAL_OR(done, DAL_AND(balanced, DAL_KERNEL_PART(is_rounding)(k, o, at)));
+        done = DAL_OR(done, DAL_AND(balanced, DAL_KERNEL_PART(is_rounding)(k, traits, work)));
     dal_flag moved = DAL_AND(DAL_AND(balanced, stays), DAL_NOT(done));
     if (DAL_ANY(moved)) {
-        moved = DAL_KERNEL_PART(is_moved)(k, o, of, at, moved, &progress->open);
+        moved = DAL_KERNEL_PART(is_moved)(k, traits, mom, work, moved, &progress->open);
         done = DAL_OR(done, moved);
     }
     progress->settled = DAL_OR(progress->settled, DAL_AND(done, settled));
@@ -580,18 +595,19 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(improve)(dal_kernel_of *k, const dal_trait
 }
 
 /* ---- close: the balance, by Newton with K and S frozen */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel_of *k, const dal_traits_of *o,
-                                             const dal_spans_of *of, const dal_arrays_of *at,
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel_of *k, const dal_traits_of *traits,
+                                             const dal_momentum_traits_of *mom,
+                                             const dal_arrays_of *work,
                                              const dal_balance_of *balance,
                                              dal_progress_of *progress)
 {
     dal_real far = DAL_NUMBER(HUGE_VAL);
     int status = DAL_KERNEL_AGAIN;
     progress->last = DAL_NUMBER(HUGE_VAL);
-    DAL_KERNEL_PART(weigh)(k, of, at, balance);
-    DAL_KERNEL_PART(miss)(k, o, of, at, balance->phi);
+    DAL_KERNEL_PART(weigh)(k, mom, work, balance);
+    DAL_KERNEL_PART(miss)(k, traits, mom, work, balance->phi);
     for (int i = 1; i <= DAL_KERNEL_CORRECTIONS && status == DAL_KERNEL_AGAIN; i++)
-        status = DAL_KERNEL_PART(improve)(k, o, of, at, balance, progress, &far,
+        status = DAL_KERNEL_PART(improve)(k, traits, mom, work, balance, progress, &far,
                                           !DAL_KERNEL_LANES);
     return status < 0 ? status : DAL_ANY(progress->solved) ? DAL_SUCCESS : 1;
 }
@@ -599,45 +615,48 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel_of *k, const dal_traits_
 /* ---- correction of the velocity to D at the stored q~', with the corresponding reaction, in lanes
  * that are solved but not settled.  S is for a variable q~', so each pass leaves a part B h N of
  * the residual.  Returns the lanes that it settles; rest <- those that another pass may. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(mend)(dal_kernel_of *k, const dal_traits_of *o,
-                                                 const dal_spans_of *of, const dal_arrays_of *at,
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(mend)(dal_kernel_of *k, const dal_traits_of *traits,
+                                                 const dal_momentum_traits_of *mom,
+                                                 const dal_arrays_of *work,
                                                  const dal_balance_of *balance, dal_flag *rest)
 {
     DAL_KERNEL_SIZES;
     const dal_flag which = *rest;
     (void)which;
     if (m == 0) return DAL_FLAG(true);
-    DAL_KERNEL_COPY(m, at->r, at->d);
-    DAL_KERNEL_PART(solve)(m, DAL_KERNEL_ALL, at->S, at->d);
+    DAL_KERNEL_COPY(m, work->r, work->d);
+    DAL_KERNEL_PART(solve)(m, DAL_KERNEL_ALL, work->S, work->d);
     DAL_KERNEL_UNROLL
-    for (size_t a = 0; a < m; a++) at->d[a] = DAL_TAKE(false, which, at->d[a], DAL_NUMBER(0.0));
+    for (size_t a = 0; a < m; a++) work->d[a] = DAL_TAKE(false, which, work->d[a], DAL_NUMBER(0.0));
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
-        at->w[i] = DAL_TAKE(
+        work->w[i] = DAL_TAKE(
             false, which,
-            at->w[i] + DAL_KERNEL_PART(column)(n, m, o->has.Z, at->Z, i, at->d), at->w[i]);
+            work->w[i] + DAL_KERNEL_PART(column)(n, m, traits->has.Z, work->Z, i, work->d),
+            work->w[i]);
     DAL_KERNEL_UNROLL
-    for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
-    if (!of->linear
-        && DAL_FORMS(k, at, which, o->t_end, at->point, at->w, balance->phi, at->mu, NULL))
+    for (size_t a = 0; a < m; a++) work->kappa[a] += work->d[a];
+    if (!mom->linear
+        && DAL_FORMS(k, work, which, traits->t_end, work->point, work->w, balance->phi, work->mu,
+                     NULL))
         return DAL_FLAG(false);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
         balance->L_v[i] = DAL_TAKE(
             false, which,
-            balance->L_v[i] + balance->theta[i] * DAL_KERNEL_PART(column)(n, m, o->has.mu,
-                                                                         at->mu_node, i, at->d),
+            balance->L_v[i] + balance->theta[i] * DAL_KERNEL_PART(column)(n, m, traits->has.mu,
+                                                                         work->mu_node, i, work->d),
             balance->L_v[i]);
-    const dal_flag settled = DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance, which);
+    const dal_flag settled = DAL_KERNEL_PART(is_in_D)(k, traits, mom, work, balance, which);
     *rest = DAL_AND(which, DAL_NOT(settled));
     if (!DAL_ANY(*rest)) return settled;
-    const dal_flag moved = DAL_KERNEL_PART(is_moved)(k, o, of, at, *rest, rest);
+    const dal_flag moved = DAL_KERNEL_PART(is_moved)(k, traits, mom, work, *rest, rest);
     *rest = DAL_AND(*rest, DAL_NOT(moved));
     return DAL_OR(settled, moved);
 }
 
 /* ---- carry: the data of a completed balance for the next stage; none of it if finish did it */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel_of *k, const dal_arrays_of *at,
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel_of *k, const dal_arrays_of *work,
                                               const dal_balance_of *balance, dal_flag made,
                                               bool all)
 {
@@ -645,86 +664,87 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel_of *k, const dal_arrays
     (void)made, (void)all;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        dal_real *const p = &k->momentum[i], *const residue = &at->residue[n + i];
+        dal_real *const p = &k->momentum[i], *const residue = &work->residue[n + i];
         const dal_real next = balance->L_v[i] + balance->residual[i];
-        *residue = DAL_TAKE(all, made, balance->theta[i] * (*p - next + at->dx[n + i]), *residue);
+        *residue = DAL_TAKE(all, made, balance->theta[i] * (*p - next + work->dx[n + i]), *residue);
         *p = DAL_TAKE(all, made, balance->L_v[i] + balance->theta[i] * balance->residual[i], *p);
         k->force0[i] = DAL_TAKE(all, made, -balance->F[i], k->force0[i]);
     }
 }
 
 /* ---- conclude: as commit of stage.h */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel_of *k, const dal_traits_of *o,
-                                                 const dal_arrays_of *at, dal_flag done, bool all)
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel_of *k, const dal_traits_of *traits,
+                                                 const dal_arrays_of *work, dal_flag done, bool all)
 {
     DAL_KERNEL_SIZES;
-    dal_real *const x = at->x, *const past = k->history + 4 * n * o->stage->kind;
+    dal_real *const x = work->x, *const past = k->history + 4 * n * traits->stage->kind;
     (void)done, (void)all;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
         past[3 * n + i] = DAL_TAKE(all, done, past[2 * n + i], past[3 * n + i]);
         past[2 * n + i] = DAL_TAKE(all, done, past[n + i], past[2 * n + i]);
         past[n + i] = DAL_TAKE(all, done, past[i], past[n + i]);
-        past[i] = DAL_TAKE(all, done, at->w[i] - x[n + i], past[i]);
-        at->residue[i] = DAL_TAKE(all, done, x[i] - at->stored[i] + at->dx[i], at->residue[i]);
-        x[i] = DAL_TAKE(all, done, at->stored[i], x[i]);
-        x[n + i] = DAL_TAKE(all, done, at->w[i], x[n + i]);
+        past[i] = DAL_TAKE(all, done, work->w[i] - x[n + i], past[i]);
+        work->residue[i] =
+            DAL_TAKE(all, done, x[i] - work->stored[i] + work->dx[i], work->residue[i]);
+        x[i] = DAL_TAKE(all, done, work->stored[i], x[i]);
+        x[n + i] = DAL_TAKE(all, done, work->w[i], x[n + i]);
     }
-    DAL_KNOW_ONE_MORE(k, o->stage->kind, done);
+    DAL_KNOW_ONE_MORE(k, traits->stage->kind, done);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        k->impulse[a] = DAL_TAKE(all, done, k->impulse[a] + at->kappa[a], k->impulse[a]);
-        k->latest[a] = DAL_TAKE(all, done, at->kappa[a], k->latest[a]);
+        k->impulse[a] = DAL_TAKE(all, done, k->impulse[a] + work->kappa[a], k->impulse[a]);
+        k->latest[a] = DAL_TAKE(all, done, work->kappa[a], k->latest[a]);
     }
-    k->latest_span = DAL_TAKE(all, done, DAL_NUMBER(o->stage->span), k->latest_span);
-    DAL_KERNEL_PART(pass_on)(k, at, n, false, all, done, NULL);
+    k->latest_span = DAL_TAKE(all, done, DAL_NUMBER(traits->stage->span), k->latest_span);
+    DAL_KERNEL_PART(pass_on)(k, work, n, false, all, done, NULL);
 }
 
 /* The parts of a stage, in their order. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(make_balanced)(dal_kernel_of *k, const dal_traits_of *o,
-                                                     const dal_spans_of *of,
-                                                     const dal_arrays_of *at,
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(make_balanced)(dal_kernel_of *k, const dal_traits_of *traits,
+                                                     const dal_momentum_traits_of *mom,
+                                                     const dal_arrays_of *work,
                                                      const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
     dal_progress_of progress = {.open = DAL_GOING(k), .solved = DAL_FLAG(false),
                                 .settled = DAL_FLAG(false)};
-    int status = DAL_KERNEL_PART(begin)(k, o, of, at, balance, progress.open);
+    int status = DAL_KERNEL_PART(begin)(k, traits, mom, work, balance, progress.open);
     if (status) return status;
-    DAL_KERNEL_PART(extrapolate)(k, o, at);
-    DAL_KERNEL_PART(place)(k, o->stage, n, o->kept, false, at);
+    DAL_KERNEL_PART(extrapolate)(k, traits, work);
+    DAL_KERNEL_PART(place)(k, traits->stage, n, traits->kept, false, work);
     DAL_KERNEL_UNROLL
-    for (size_t a = 0; a < m; a++) at->kappa[a] = DAL_NUMBER(0.0);
+    for (size_t a = 0; a < m; a++) work->kappa[a] = DAL_NUMBER(0.0);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) balance->reaction[i] = DAL_NUMBER(0.0);
-    status = DAL_KERNEL_PART(linearise)(k, o, of, at, balance, &progress.open);
-    if (status == 0) status = DAL_KERNEL_PART(close)(k, o, of, at, balance, &progress);
+    status = DAL_KERNEL_PART(linearise)(k, traits, mom, work, balance, &progress.open);
+    if (status == 0) status = DAL_KERNEL_PART(close)(k, traits, mom, work, balance, &progress);
     if (status < 0) return status;
     dal_flag rest = DAL_AND(progress.solved, DAL_NOT(progress.settled));
-    const int passes = status == 0 && !o->kept ? DAL_MOMENTUM_PASSES : 0;
+    const int passes = status == 0 && !traits->kept ? DAL_MOMENTUM_PASSES : 0;
     for (int pass = 0; pass < passes && DAL_KERNEL_RARE(DAL_ANY(rest)); pass++)
         progress.settled = DAL_OR(progress.settled,
-                                  DAL_KERNEL_PART(mend)(k, o, of, at, balance, &rest));
+                                  DAL_KERNEL_PART(mend)(k, traits, mom, work, balance, &rest));
     const dal_flag made = DAL_AND(DAL_AND(progress.solved, progress.settled),
-                                  DAL_KERNEL_PART(is_finite)(n, at));
+                                  DAL_KERNEL_PART(is_finite)(n, work));
     dal_flag done = made;
     if (DAL_KERNEL_RARE(!DAL_EVERY(made))) {
-        status = DAL_KERNEL_PART(hand_over)(k, o, at, &progress.solved, &done);
+        status = DAL_KERNEL_PART(hand_over)(k, traits, work, &progress.solved, &done);
         if (status) return status;
         DAL_KERNEL_UNROLL
         for (size_t i = n; i < 2 * n; i++) /* where finish did it, there is no p */
-            at->residue[i] = DAL_TAKE(false, DAL_AND(done, DAL_NOT(made)), DAL_NUMBER(0.0),
-                                  at->residue[i]);
-        if (DAL_ANY(made)) DAL_KERNEL_PART(carry)(k, at, balance, made, false);
+            work->residue[i] = DAL_TAKE(false, DAL_AND(done, DAL_NOT(made)), DAL_NUMBER(0.0),
+                                    work->residue[i]);
+        if (DAL_ANY(made)) DAL_KERNEL_PART(carry)(k, work, balance, made, false);
     } else {
-        DAL_KERNEL_PART(carry)(k, at, balance, made, true);
+        DAL_KERNEL_PART(carry)(k, work, balance, made, true);
     }
     const dal_flag before = DAL_NOT(done);
     k->carried = DAL_OR(made, DAL_AND(before, k->carried));
-    k->forced = DAL_OR(of->late_pushed ? made : DAL_FLAG(false), DAL_AND(before, k->forced));
-    if (DAL_EVERY(done)) DAL_KERNEL_PART(conclude)(k, o, at, done, true);
-    else DAL_KERNEL_PART(conclude)(k, o, at, done, false);
-    k->formed = DAL_KERNEL_MASS && of->known;
+    k->forced = DAL_OR(mom->late_pushed ? made : DAL_FLAG(false), DAL_AND(before, k->forced));
+    if (DAL_EVERY(done)) DAL_KERNEL_PART(conclude)(k, traits, work, done, true);
+    else DAL_KERNEL_PART(conclude)(k, traits, work, done, false);
+    k->formed = DAL_KERNEL_MASS && mom->known;
     return DAL_SUCCESS;
 }
 
@@ -748,25 +768,27 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel_of *const k, const da
     dal_real phi[DAL_KERNEL_M], L_v[DAL_N], F[DAL_N], unit[DAL_N], per_unit[DAL_N];
     dal_real L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
     dal_real K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
-    const dal_arrays_of at = {x, NULL, residue, node, point, w, mu_node, mu, N, known, v_free,
-                              step, NULL, stored, from, dq_known, dv_known, dx, Z, S, sizes, r, d,
-                              kappa, row, NULL, NULL, NULL, 0, NULL, false, tally};
+    const dal_arrays_of work = {x, NULL, residue, node, point, w, mu_node, mu, N, known, v_free,
+                                step, NULL, stored, from, dq_known, dv_known, dx, Z, S, sizes, r, d,
+                                kappa, row, NULL, NULL, NULL, 0, NULL, false, tally};
     const dal_balance_of balance = {known, reaction, residual, theta, phi, L_v, F, unit, per_unit,
                                     L_vq, L_vv, F_q, F_v, K, factors};
 #else
-    const dal_arrays_of at = k->at;
+    const dal_arrays_of work = k->at;
     const dal_balance_of balance = k->balance;
 #endif
     const dal_constraint_kind kind = DAL_KERNEL_KIND(k);
     const bool linear = kind == DAL_LINEAR, kept = !DAL_KERNEL_INSIDE && k->kept;
-    const dal_spans_of of = {.b = s->B * k->h, .early = k->h * s->w0,
-                             .late = k->h * s->w2, .pushed = s->w0 != 0.0,
-                             .late_pushed = s->w2 != 0.0,
-                             .constant = DAL_KERNEL_INSIDE ? DAL_KERNEL_MASS : k->mass != NULL,
-                             .linear = linear, .nonlinear = kind == DAL_NONLINEAR,
-                             .still = explicit && !kept, .known = explicit && linear && !kept};
+    const dal_momentum_traits_of mom = {.b = s->B * k->h, .early = k->h * s->w0,
+                                        .late = k->h * s->w2, .pushed = s->w0 != 0.0,
+                                        .late_pushed = s->w2 != 0.0,
+                                        .constant = DAL_KERNEL_INSIDE ? DAL_KERNEL_MASS
+                                                                      : k->mass != NULL,
+                                        .linear = linear, .nonlinear = kind == DAL_NONLINEAR,
+                                        .still = explicit && !kept,
+                                        .known = explicit && linear && !kept};
     const dal_pattern has = DAL_KERNEL_PATTERN;
-    const dal_traits_of o = {.stage = s, .number = number, .has = has, .kept = kept,
-                             .t_end = DAL_KERNEL_TIME(k, number, s->t_end)};
-    return DAL_KERNEL_PART(make_balanced)(k, &o, &of, &at, &balance);
+    const dal_traits_of traits = {.stage = s, .number = number, .has = has, .kept = kept,
+                                  .t_end = DAL_KERNEL_TIME(k, number, s->t_end)};
+    return DAL_KERNEL_PART(make_balanced)(k, &traits, &mom, &work, &balance);
 }
