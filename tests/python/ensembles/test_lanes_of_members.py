@@ -173,7 +173,7 @@ def test_momenta():
 
 
 def test_momenta_by_hand():
-    """M(q) against (1 + 2 y^2) x'' = -x - 3 y x' y' and y'' = y x'^2 - y, by hand from z' = y x'."""
+    """M(q) against (1 + 2 y^2) x'' = -x - 3 y x' y' and y'' = y x'^2 - y, by hand: z' = y x'."""
     x, y, z = dal.coordinates("x y z")
     m = sympy.Symbol("m", positive=True)
     L = m * ((1 + y**2) * x.d**2 + y.d**2 + z.d**2 - x**2 - y**2) / 2
