@@ -271,6 +271,7 @@ class Differences:
         for i, j in itertools.combinations(used, 2):
             both = moved((i, 1), (j, 1)) - 2 * value + moved((i, -1), (j, -1))
             hessian[i, j] = hessian[j, i] = (both - bent[i] - bent[j]) / (2 * h[i] * h[j])
+        gradient[self.sizes[1] == 0] = hessian[self.sizes[2] == 0] = mpmath.mpf(0)
         self.values = value, gradient, hessian
 
 
