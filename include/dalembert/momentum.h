@@ -322,6 +322,7 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(build_K)(const dal_kernel_of *k,
     DAL_KERNEL_SIZES;
     dal_real *const factors = balance->factors, *const theta = balance->theta;
     dal_real *const K = balance->K, *const terms = work->step;
+    const dal_real b = mom->b;
     dal_flag regular = DAL_FLAG(true);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
@@ -348,7 +349,25 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(build_K)(const dal_kernel_of *k,
         DAL_KERNEL_COPY(n, work->mu_node + a * n, work->Z + a * n);
         DAL_KERNEL_PART(solve)(n, traits->has.K, factors, work->Z + a * n);
     }
-    DAL_KERNEL_PART(build_S)(work, n, m, traits->has, mom->b, NULL);
+    DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++) {
+        work->sizes[a] = DAL_NUMBER(-0.0);
+        DAL_KERNEL_UNROLL
+        for (size_t c = 0; c < m; c++) work->S[a * m + c] = DAL_NUMBER(-0.0);
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) {
+            const bool has_N = DAL_KERNEL_HAS(traits->has.N, a * n + i);
+            if (!has_N && !DAL_KERNEL_HAS(traits->has.mu, a * n + i)) continue;
+            const dal_real mu = work->mu[a * n + i], row = has_N ? mu + b * work->N[a * n + i] : mu;
+            const dal_real entry = has_N ? DAL_ABS(mu) + DAL_ABS(row) : DAL_ABS(mu);
+            DAL_KERNEL_UNROLL
+            for (size_t c = 0; c < m; c++)
+                if (DAL_KERNEL_HAS(traits->has.Z, c * n + i))
+                    work->S[a * m + c] += row * work->Z[c * n + i];
+            if (DAL_KERNEL_HAS(traits->has.Z, a * n + i))
+                work->sizes[a] += entry * DAL_ABS(work->Z[a * n + i]);
+        }
+    }
     return DAL_ALSO(regular,
                     DAL_KERNEL_PART(eliminate)(m, DAL_KERNEL_ALL, work->S, work->sizes));
 }

@@ -113,43 +113,33 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(direct)(const dal_kernel_of *k, const dal
             DAL_KERNEL_PART(accelerate)(k, work, n, mask, work->mu_node + a * n, work->Z + a * n);
 }
 
-/* S <- (mu + b N) Z^T.  The size of a row is the norm of mu and b N by unit[n]; or if unit is NULL,
- * the sum of the terms of the entry on the diagonal. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(build_S)(const dal_arrays_of *work, size_t n, size_t m,
-                                                dal_pattern has, dal_real b, const dal_real *unit)
+/* S <- (mu + b N) Z^T, factored; returns whether S is regular and det S > 0.  The sizes of its rows
+ * are the norms of mu and b N in the metric, the sizes of its columns the norms of mu_node.  If
+ * there is one entry, its size is the sum of its terms. */
+DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(factor_S)(const dal_arrays_of *work, size_t n, size_t m,
+                                                     dal_pattern has, dal_real b)
 {
-    DAL_KERNEL_UNROLL
+    dal_real terms = DAL_NUMBER(-0.0);
     for (size_t a = 0; a < m; a++) {
         dal_real size = DAL_NUMBER(-0.0);
-        DAL_KERNEL_UNROLL
         for (size_t c = 0; c < m; c++) work->S[a * m + c] = DAL_NUMBER(-0.0);
-        DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
             const bool has_N = DAL_KERNEL_HAS(has.N, a * n + i);
             if (!has_N && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
             const dal_real mu = work->mu[a * n + i], row = has_N ? mu + b * work->N[a * n + i] : mu;
             const dal_real entry = has_N ? DAL_ABS(mu) + DAL_ABS(row) : DAL_ABS(mu);
-            if (unit) size += entry * unit[i];
-            else if (DAL_KERNEL_HAS(has.Z, a * n + i)) size += entry * DAL_ABS(work->Z[a * n + i]);
-            DAL_KERNEL_UNROLL
-            for (size_t c = 0; c < m; c++)
-                if (DAL_KERNEL_HAS(has.Z, c * n + i))
-                    work->S[a * m + c] += row * work->Z[c * n + i];
+            if (m > 1) size += entry * work->unit[i];
+            for (size_t c = 0; c < m; c++) {
+                if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
+                const dal_real term = row * work->Z[c * n + i];
+                work->S[a * m + c] += term;
+                terms += has_N ? entry * DAL_ABS(work->Z[c * n + i]) : DAL_ABS(term);
+            }
         }
-        work->sizes[a] = size;
-    }
-}
-
-/* S, factored; returns whether S is regular and det S > 0.  The sizes of its rows are the norms of
- * mu and b N in the metric, the sizes of its columns the norms of mu_node.  If there is one entry,
- * its size is the sum of its terms. */
-DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(factor_S)(const dal_arrays_of *work, size_t n, size_t m,
-                                                     dal_pattern has, dal_real b)
-{
-    DAL_KERNEL_PART(build_S)(work, n, m, has, b, m > 1 ? work->unit : NULL);
-    for (size_t a = 0; a < m; a++)
+        work->sizes[a] = m > 1 ? size : terms;
         work->sizes[m + a] = m > 1 ? DAL_KERNEL_PART(row_norm)(work, n, has.mu, work->mu_node, a)
                                    : DAL_NUMBER(1.0);
+    }
     return DAL_FACTOR_LU(m, work->S, work->sizes, work->row);
 }
 
