@@ -78,11 +78,6 @@ _PLACE = "dalembert-compiles-"  # begins the names of the directories in which c
 _MARK = b"dalembert compiled this"
 
 
-# Gives a source, and a function of what each of its lines, by number, was generated from.
-Origin = Callable[[int], str]
-Program = Callable[[], tuple[str, Origin]]
-
-
 class CompilerError(DalembertError):
     """The C compiler rejected a generated program, or could not be executed."""
 
@@ -134,13 +129,10 @@ def _flags_for_lanes(compiler: Compiler) -> tuple[str, ...]:
     return COMMON
 
 
-def compile_program(
-    compiler: Compiler, source: str, origin: Origin, lanes: bool = False
-) -> bytes:
+def compile_program(compiler: Compiler, source: str, lanes: bool = False) -> bytes:
     """Return the shared library compiled from a source.
 
-    A CompilerError has the line of C that the compiler rejects, and from ``origin`` the expression
-    from which it was generated.
+    A CompilerError has the line of C that the compiler rejects.
     """
     _remove_left()
     flags = _flags_for_lanes(compiler) if lanes else FLAGS
@@ -153,7 +145,7 @@ def compile_program(
         command = [*compiler.command, *flags, "-I.", "model.c", "-o", "model.so", "-lm"]
         status, printed = _run(command, root)
         if status != 0 or not (root / "model.so").exists():
-            raise CompilerError(_explain(command, source, printed, origin))
+            raise CompilerError(_explain(command, source, printed))
         return (root / "model.so").read_bytes()
 
 
@@ -192,7 +184,7 @@ def _remove_left() -> None:
                 shutil.rmtree(path)
 
 
-def _explain(command: list[str], source: str, printed: str, origin: Origin) -> str:
+def _explain(command: list[str], source: str, printed: str) -> str:
     """Return the compiler's error message in terms of the model."""
     lines = [f"the C compiler failed on a generated program: {shlex.join(command)}"]
     found = re.search(r"^model\.c:(\d+):.*error:\s*(.*)$", printed, flags=re.M)
@@ -201,8 +193,6 @@ def _explain(command: list[str], source: str, printed: str, origin: Origin) -> s
     number = int(found[1])
     text = source.split("\n")[number - 1].strip()
     lines += [f"line {number}: {found[2]}", f"  {text[:1000]}"]
-    if where := origin(number):
-        lines.append(f"which is {where[:1000]}")
     return "\n".join(lines)
 
 
@@ -333,12 +323,12 @@ _libraries: weakref.WeakValueDictionary[str, Library] = weakref.WeakValueDiction
 
 
 def library(
-    key: str, versions: str, program: Program, lanes: bool = False
+    key: str, versions: str, program: Callable[[], str], lanes: bool = False
 ) -> Library | None:
     """Return the library of a model, from the cache or compiled; None without a compiler.
 
     ``key`` is a digest of the model, ``versions`` are those of the code that derives the program
-    from it.  ``program() -> (source, origin)`` is called only if the library has to be compiled.  A
+    from it.  ``program()`` returns the source, and is called only if the library has to be compiled.  A
     library with ``lanes`` is for all processors.  Raises CompilerError if the compiler rejects the
     program.
     """
@@ -391,8 +381,8 @@ def _alone(path: Path) -> Iterator[None]:
 def _compile(compiler: Compiler, key: str, program: Program, lanes: bool) -> Library:
     """Compile a library, and store it in the cache."""
     path = folder() / f"{key}.so"
-    source, origin = program()
-    content = compile_program(compiler, source, origin, lanes)
+    source = program()
+    content = compile_program(compiler, source, lanes)
     try:
         return Library(_store(path.parent, key, source, content))
     except OSError as error:

@@ -19,7 +19,10 @@ import sympy
 
 from ..core import Array, Pair
 from ..core.extras import Show
-from ..symbolic.model import Model, with_default
+from ..symbolic.graph import Graph
+from ..symbolic.model import Model
+from ..symbolic.reading import Reader
+from ..symbolic.values import values
 from ..symbolic.zeros import PIECES, is_zero
 from .search import Distribution, Word, brackets, explore, is_settled, search
 
@@ -80,18 +83,13 @@ class _Forms:
         self.mu = [e.xreplace(numbers) for e in forms]
         self._edges = _edges(self.mu)
         self.in_pieces = any(e.has(*PIECES) for e in self.mu)
-        printed = [
-            with_default(e.replace(sympy.Heaviside, lambda x, _: (1 + sympy.sign(x)) / 2))
-            for e in (*self.mu, *self._edges)
-        ]
-        self._values = sympy.lambdify([self.q], printed, "mpmath", cse=True)
+        graph = Graph()
+        read = Reader(graph, {s: graph.symbol(s.name) for s in self.q})
+        self._nodes = [read(e) for e in (*self.mu, *self._edges)]
 
     def at(self, q: Sequence[Any]) -> tuple[Array, list[Any]]:
         """Return mu, and functions that vanish if mu is not smooth; ValueError off its domain."""
-        try:
-            found = [mpmath.mpmathify(x) for x in self._values(q)]
-        except (ArithmeticError, ValueError):
-            found = [mpmath.nan]
+        found = values(self._nodes, {s.name: x for s, x in zip(self.q, q)})
         if not all(isinstance(x, mpmath.mpf) and mpmath.isfinite(x) for x in found):
             raise ValueError("mu is not defined there")
         size = self.m * self.n

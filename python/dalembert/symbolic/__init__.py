@@ -16,6 +16,7 @@ jumps = Later(__name__, "jumps")
 mechanisms = Later(__name__, "mechanisms")
 model = Later(__name__, "model")
 series = Later(__name__, "series")
+symbols = Later(__name__, "symbols")
 
 
 def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:

@@ -8,19 +8,17 @@ common subexpressions of its outputs once, and those of a single output only if 
 from __future__ import annotations
 
 import dataclasses
-import functools
-import itertools
 import keyword
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import sympy
-from sympy.logic.boolalg import BooleanFalse, BooleanTrue
-
-from .model import FUNCTIONS, Function, Model, nearest
+from .derive import Function
+from .graph import Node, below
+from .model import Model
 from .pattern import MOST, field_zeros, pattern
+from .printing import LANES, C, Text, spelled
 
 GENERATOR = 4  # changes with what is generated, as the files of this module do
 
@@ -31,6 +29,9 @@ _LARGEST = 32
 # What the step routine and the field alone call.
 _MAYBE_UNUSED = ("t", "q", "v", "u", "start", "phi_t", "L_vt", "M", "mu", "g", "C")
 _OF_STEPS = ("balance", "pull", "terms")
+
+# The outputs that a step asks for less often than for the others of their function.
+_SECOND = ("V_qq", "phi_q", "phi_t", "L_qq", "L_vq", "L_vv", "L_vt", "f_q", "f_v", "F_q", "F_v")
 
 # Above this number of zeros they are written to an output by a loop.
 _MOST_ZEROS = 64
@@ -68,33 +69,18 @@ def _signature(model: Model, name: str) -> str:
 
 @dataclass
 class Program:
-    """C source, line by line.
+    """C source, line by line."""
 
-    Attributes
-    ----------
-    lines : list of (str, callable or None)
-        A line, and a function that returns a description of its result and its expression; None if
-        it has no expression.
-    """
-
-    lines: list[tuple[str, Callable[[], tuple[str, Any]] | None]] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
 
     @property
     def source(self) -> str:
         """The source code."""
-        return "".join(f"{line}\n" for line, _ in self.lines)
+        return "".join(f"{line}\n" for line in self.lines)
 
     def add(self, text: str) -> None:
-        """Add lines without an expression."""
-        self.lines.extend((line, None) for line in text.split("\n"))
-
-    def origin(self, number: int, shown: Callable[[Any], Any]) -> str:
-        """Return the result that a line, counted from 1, computes, in terms of ``shown``."""
-        _, origin = self.lines[number - 1]
-        if origin is None:
-            return ""
-        what, expression = origin()
-        return f"{what} = {shown(expression)}"
+        """Add lines."""
+        self.lines += text.split("\n")
 
 
 def is_compact(model: Model) -> bool:
@@ -105,7 +91,7 @@ def is_compact(model: Model) -> bool:
     derived, n = model.derived, model.n
     if n <= MOST or model.m == 0 or derived.mass is None or derived.kind != "linear":
         return False
-    is_diagonal = all(e == 0 for k, e in enumerate(derived.mass) if k % (n + 1) != 0)
+    is_diagonal = all(e.is_zero for k, e in enumerate(derived.mass) if k % (n + 1) != 0)
     return is_diagonal and 2 * len(model.sparsity[0]) <= model.m * n
 
 
@@ -140,13 +126,16 @@ def program(
         + "\n#include <dalembert/lanes.h>" * lanes
         + "\n#include <math.h>\n#include <stddef.h>\n"
     )  # fmt: skip
-    powers: set[int] = set()
     own_field = fast and model.n <= MOST  # in large models it would gain nothing
-    for function in (*derived.functions, *([model.terms] if own_field else ())):
+    for function in (*derived.functions, *([derived.terms] if own_field else ())):
         if compact and function.name in ("mass", "constraint"):
             function = _alone(model, function)
-        if fast or function.name not in _OF_STEPS:
-            _function(body, model, function, fast, Printer(powers))
+        if not fast and function.name in _OF_STEPS:
+            continue
+        if function.name == "balance" and _is_balance(model):
+            _balance(body, model)
+        else:
+            _function(body, model, function, fast)
     if fast:
         _kernel(body, model)
         if own_field:
@@ -154,10 +143,8 @@ def program(
         if lanes:
             _lanes(body, model)
         _compiled(body, model, lanes)
-    for exponent in sorted(powers):
-        _power(made, exponent)
     for helper, rest in _HELPERS.items():
-        if any(f"{helper}(" in line for line, _ in body.lines):
+        if any(f"{helper}(" in line for line in body.lines):
             made.add(f"static inline double {helper}{rest}")
     made.lines += body.lines
     if compact:
@@ -187,46 +174,28 @@ _HELPERS = {
 }
 
 
-def _power(made: Program, exponent: int, vector: bool = False) -> None:
-    """Write x^exponent as products, by repeated squaring."""
-    steps, name, have = [], "x", 1
-    for bit in bin(exponent)[3:]:
-        steps.append(f"const double s{2 * have} = {name} * {name};")
-        name, have = f"s{2 * have}", 2 * have
-        if bit == "1":
-            steps.append(f"const double s{have + 1} = {name} * x;")
-            name, have = f"s{have + 1}", have + 1
-    text = f"static inline double model_power_{exponent}(double x) {{ "
-    text += " ".join(steps) + f" return {name}; }}"
-    if vector:
-        text = text.replace("double", "dal_vec")
-        text = text.replace(f"model_power_{exponent}", f"DAL_LANES(model_power_{exponent})")
-    made.add(text)
-
-
 # ---- callbacks ---------------------------------------------------------------------------------
 
 
 def _function(
-    made: Program, model: Model, function: Function, fast: bool, print_c: Printer
-) -> None:
-    """Write a callback: common subexpressions, then each requested output."""
-    give, values = function.engine.give, _written(function)
-    temporaries, reduced = function.engine.cse([e for x in values.values() for e in x.values()])
-    temporaries = [(give(s), give(e)) for s, e in temporaries]
-    left = map(give, reduced)
-    values = {output: dict(zip(entries, left)) for output, entries in values.items()}
-    computed = [*(e for x in values.values() for e in x.values()), *(e for _, e in temporaries)]
-    signature, real = _signature(model, function.name), print_c.real
-    takes_inputs = "double *u" in signature
-    inline = fast and function.name in ("constraint", "potential", *_OF_STEPS)
-    inline = inline and _are_few(computed)
-    used = {s.name for e in computed for s in e.free_symbols}
+    made: Program, model: Model, function: Function, fast: bool, is_vector: bool = False
+) -> set[str]:
+    """Write a callback; return the functions of the math library that it calls."""
+    real = "dal_vec" if is_vector else "double"
+    signature, name = _signature(model, function.name), f"model_{function.name}"
+    outputs = _spelled(function)
+    nodes = [e for entries in outputs.values() for e in entries.values()]
+    every = below(nodes)
+    is_few = sum(bool(e.args) for e in every) <= _INLINED
+    inline = fast and is_few and function.name in ("constraint", "potential", *_OF_STEPS)
+    if function.name == "lagrangian":
+        inline = fast and is_few and _is_balance(model)
+    used = {e.value for e in every if e.op == "symbol"}
 
     made.add("DAL_KERNEL_INLINE int" if inline else "static int")
-    name = print_c.name(f"model_{function.name}")
-    made.add(f"{name}({signature}, const double *p)\n{{".replace("double", real))
-    n = model.n
+    named = f"DAL_LANES({name})" if is_vector else name
+    made.add(f"{named}({signature}, const double *p)\n{{".replace("double", real))
+    n, takes_inputs = model.n, "double *u" in signature
     arrays = [("start", 2 * n)] if "start" in signature else [("q", n), ("v", n)]
     arrays += [("u", len(model.u))] if takes_inputs else []
     arrays.append(("p", len(model.p)))
@@ -237,12 +206,41 @@ def _function(
             made.add(f"    const {real} {symbol.name} = {place};")
     unused = [i for i in _names(signature) if i in _MAYBE_UNUSED]
     made.add("    " + ", ".join(f"(void){name}" for name in [*unused, "p"]) + ";")
-    _outputs(made, model, function, temporaries, values, print_c)
+    text = Text(nodes, LANES if is_vector else C)
+    _outputs(made, model, function, outputs, text)
     made.add("    return 0;\n}\n")
-    if function.name not in ("mass", "state", *_OF_STEPS) and real == "double":
+    if function.name not in ("mass", "state", *_OF_STEPS) and not is_vector:
         names = ", ".join(_names(signature))
         made.add(f"static int model_call_{function.name}({signature}, void *ctx)\n{{")
-        made.add(f"    return model_{function.name}({names}, ctx);\n}}\n")
+        made.add(f"    return {name}({names}, ctx);\n}}\n")
+    return text.called
+
+
+def _is_balance(model: Model) -> bool:
+    """Return whether the function of the Lagrangian is that of the balance too."""
+    return model.derived.mass is None and model.force is None
+
+
+def _balance(made: Program, model: Model, is_vector: bool = False) -> None:
+    """Write the balance by means of the function of the Lagrangian."""
+    text = _BALANCE.format(signature=_signature(model, "balance"), n=model.n)
+    if is_vector:
+        text = text.replace("double", "dal_vec")
+        for name in ("model_balance", "model_lagrangian"):
+            text = text.replace(name, f"DAL_LANES({name})")
+    made.add(text)
+
+
+_BALANCE = """DAL_KERNEL_INLINE int
+model_balance({signature}, const double *p)
+{{
+    (void)u;
+    const int status = model_lagrangian(t, q, v, NULL, F, L_v, F_q, L_vq, L_vv, NULL, p);
+    for (int i = 0; F_v && i < {n}; i++) /* L_vq is asked for with it */
+        for (int j = 0; j < {n}; j++) F_v[i * {n} + j] = L_vq[j * {n} + i];
+    return status;
+}}
+"""
 
 
 def _alone(model: Model, function: Function) -> Function:
@@ -257,87 +255,58 @@ def _alone(model: Model, function: Function) -> Function:
     return dataclasses.replace(function, outputs=outputs)
 
 
-def _written(function: Function) -> dict[str, dict[int, Any]]:
+def _spelled(function: Function) -> dict[str, dict[int, Node]]:
     """Return the entries of each output that are written one by one, without most zeros."""
     found = {}
-    for output, expressions in function.outputs.items():
-        there = {k: e for k, e in enumerate(expressions) if e != 0}
-        few = len(expressions) - len(there) <= _MOST_ZEROS
-        found[output] = dict(enumerate(expressions)) if few else there
-    return found
+    for output, entries in function.outputs.items():
+        there = {k: e for k, e in enumerate(entries) if not e.is_zero}
+        few = len(entries) - len(there) <= _MOST_ZEROS
+        found[output] = dict(enumerate(entries)) if few else there
+    nodes = iter(spelled([e for entries in found.values() for e in entries.values()]))
+    return {x: {k: next(nodes) for k in entries} for x, entries in found.items()}
 
 
 def _outputs(
-    made: Program,
-    model: Model,
-    function: Function,
-    temporaries: Sequence[tuple[Any, Any]],
-    values: dict[str, dict[int, Any]],
-    print_c: Printer,
-) -> None:
-    """Write the computation of the outputs; shared subexpressions come first."""
-    users = _users(temporaries, values)
+    made: Program, model: Model, function: Function, outputs: dict[str, dict[int, Node]],
+    text: Text,
+) -> None:  # fmt: skip
+    """Write the computation of the outputs.
 
-    def compute(left: str, expression: Any, what: str) -> None:
-        try:
-            line = f"{left} = {print_c.whole(expression)};"
-        except ValueError as error:
-            raise ValueError(f"{what} of the {function.name}: {error}") from None
-        made.lines.append((line, functools.partial(_origin, what, expression, temporaries)))
-
-    def parts(are_here: Callable[[set[str]], bool], indent: str) -> None:
-        for symbol, expression in temporaries:
-            if are_here(users[symbol]):
-                what = f"a part of {' and '.join(sorted(users[symbol]))}"
-                compute(f"{indent}const {print_c.real} {symbol.name}", expression, what)
-
-    parts(lambda by: len(by) > 1, "    ")
-    for output, entries in values.items():
-        made.add(f"    if ({output}) {{")
-        parts(lambda by, output=output: by == {output}, "        ")
-        size = len(function.outputs[output])
-        if len(entries) < size:
-            zero = print_c.whole(sympy.Integer(0))
-            made.add(f"        for (size_t i = 0; i < {size}; i++) {output}[i] = {zero};")
-        is_matrix = size > model.n and size in (model.n**2, model.n * model.m)
-        for k, expression in entries.items():
-            index = f"{k // model.n}, {k % model.n}" if is_matrix else f"{k}"
-            compute(f"        {output}[{k}]", expression, f"{output}[{index}]")
-        made.add("    }")
-
-
-def _are_few(expressions: Sequence[Any]) -> bool:
-    """Return whether expressions have few enough operations for inlining."""
-    left = _INLINED
-    return all((left := left - sympy.count_ops(e)) >= 0 for e in expressions)
+    What several outputs share comes before them.  What only second derivatives share comes after
+    the others, and after a return if none of them is asked for.
+    """
+    users: dict[Node, set[str]] = {}
+    for output, entries in outputs.items():
+        for e in below(entries.values()):
+            users.setdefault(e, set()).add(output)
+    nodes = sorted(users, key=lambda e: e.index)
+    levels = [[x for x in outputs if x not in _SECOND], [x for x in outputs if x in _SECOND]]
+    for level in filter(None, levels):
+        shared = [
+            e for e in nodes
+            if len(users[e]) > 1 and (level is levels[1]) == (users[e] <= {*levels[1]})
+        ]  # fmt: skip
+        lines = text.names(shared, ())
+        if lines and level is levels[1]:
+            made.add(f"    if (!{' && !'.join(level)}) return 0;")
+        made.lines += [f"    {line}" for line in lines]
+        for output in level:
+            made.add(f"    if ({output}) {{")
+            entries, size = outputs[output], len(function.outputs[output])
+            own = (e for e in nodes if users[e] == {output})
+            for line in text.names(own, entries.values()):
+                made.add(f"        {line}")
+            if len(entries) < size:
+                zero = text.whole(model.derived.read.graph.zero)
+                made.add(f"        for (size_t i = 0; i < {size}; i++) {output}[i] = {zero};")
+            for k, e in entries.items():
+                made.add(f"        {output}[{k}] = {text.whole(e)};")
+            made.add("    }")
 
 
 def _names(signature: str) -> list[str]:
     """Return the names of the arguments."""
     return [part.split()[-1].lstrip("*") for part in signature.split(",")]
-
-
-def _users(
-    temporaries: Sequence[tuple[Any, Any]], values: dict[str, dict[int, Any]]
-) -> dict[Any, set[str]]:
-    """Return for each temporary the outputs that depend on it."""
-    users: dict[Any, set[str]] = {symbol: set() for symbol, _ in temporaries}
-    for output, entries in values.items():
-        for expression in entries.values():
-            for symbol in expression.free_symbols & users.keys():
-                users[symbol].add(output)
-    for symbol, expression in reversed(temporaries):
-        for part in expression.free_symbols & users.keys():
-            users[part] |= users[symbol]
-    return users
-
-
-def _origin(what: str, expression: Any, temporaries: Sequence[tuple[Any, Any]]) -> tuple[str, Any]:
-    """Return the description of a result, and its expression without temporaries."""
-    known: dict[Any, Any] = {}
-    for symbol, part in temporaries:
-        known[symbol] = part.xreplace(known)
-    return what, expression.xreplace(known)
 
 
 # ---- the step routine --------------------------------------------------------------------------
@@ -392,7 +361,7 @@ def _field(made: Program, model: Model) -> None:
     arrays = ", ".join(f"{name}[{max(size, 1)}]" for name, size in sizes.items())
     members = ", ".join(f".{name} = {name}" for name in sizes)
     masses = "" if moves else ", .inverse = mass_inverse"
-    known = "C" in model.terms.outputs
+    known = "C" in model.derived.terms.outputs
     masses += ", .given = true" if known else ""
     given = "(void)mass_inverse" if moves else "if (!mass_inverse) return 0"
     made.add(
@@ -553,20 +522,22 @@ def _force(model: Model) -> str | None:
 
 def _vector_callbacks(made: Program, model: Model) -> None:
     """Write the callbacks of the steps, and their functions, for vectors."""
-    powers: set[int] = set()
-    body, print_c = Program(), VectorPrinter(powers)
+    body, called = Program(), set[str]()
+    wanted = ["constraint", _force(model)]
+    if _is_balance(model):
+        wanted = ["constraint", "lagrangian"]
     for function in model.derived.functions:
-        if function.name in ("constraint", _force(model)):
-            _function(body, model, function, True, print_c)
-    for name in sorted(print_c.called):
+        if function.name in wanted:
+            called |= _function(body, model, function, True, is_vector=True)
+    if _is_balance(model):
+        _balance(body, model, is_vector=True)
+    for name in sorted(called):
         ending = f"_OF_TWO({name})" if name in ("pow", "atan2") else f"({name})"
         if name == "sqrt":
             made.add(f"DAL_LANES_EACH{ending}")
             continue
         made.add(f"#if DAL_LANES_LIBMVEC >= {1 if name in _EARLY else 2}")
         made.add(f"DAL_LANES_AT_ONCE{ending}\n#else\nDAL_LANES_EACH{ending}\n#endif")
-    for exponent in sorted(powers):
-        _power(made, exponent, vector=True)
     made.add(_VECTOR_HELPERS)
     made.lines += body.lines
 
@@ -754,170 +725,6 @@ def _constructor(
 def _plain(text: str) -> str:
     """Return a text with letters and digits, and _ for all other characters."""
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in text)
-
-
-# ---- expressions -------------------------------------------------------------------------------
-
-
-# Functions that the math library of C has not: those of _HELPERS, and 1 over one that it has.
-_OWN = {sympy.sign: "model_sign", sympy.Heaviside: "model_step"}
-_OF_TWO = {sympy.Max: "model_larger", sympy.Min: "model_smaller"}
-_INVERSE = {sympy.sec: "cos", sympy.csc: "sin", sympy.cot: "tan"}
-
-
-class Printer:
-    """Expressions as C, from a closed list of functions.
-
-    Attributes
-    ----------
-    powers : set of int
-        Exponents for which `_power` is needed.
-    real, nowhere : str
-        The type of a number, and the NaN of this type.
-    """
-
-    real, nowhere = "double", "NAN"
-
-    def __init__(self, powers: set[int]) -> None:
-        self.powers = powers
-
-    def name(self, name: str) -> str:
-        """Return the name of a generated function."""
-        return name
-
-    def whole(self, e: Any) -> str:
-        """Return an expression that is complete, or an argument."""
-        return self(e)
-
-    def call(self, name: str, *arguments: str) -> str:
-        return f"{name}({', '.join(arguments)})"
-
-    def choice(self, condition: str, value: str, other: str) -> str:
-        return f"({condition} ? {value} : {other})"
-
-    def __call__(self, e: Any) -> str:
-        if e.is_Symbol:
-            return str(e.name)
-        if e.is_Add:
-            return f"({self._sum(e)})"
-        if e.is_Mul:
-            return self._product(e)
-        if e.is_Pow:
-            return self._power(e.base, e.exp)
-        if e.is_Number or e.is_NumberSymbol:
-            return self._number(e)
-        return self._function(e)
-
-    def _sum(self, e: Any) -> str:
-        text = ""
-        for i, term in enumerate(e.args):
-            negative = term.could_extract_minus_sign() and (term.is_Number or term.is_Mul)
-            part = self(-term if negative else term)
-            text += (" - " if i else "-") + part if negative else (" + " if i else "") + part
-        return text
-
-    def _product(self, e: Any) -> str:
-        coefficient, factors = e.as_coeff_mul()
-        above, below = [], []
-        for factor in factors:
-            if factor.is_Pow and factor.exp.is_Rational and factor.exp.is_negative:
-                below.append(self._power(factor.base, -factor.exp))
-            else:
-                above.append(self(factor))
-        sign = ""
-        if coefficient.is_negative:
-            sign, coefficient = "-", -coefficient
-        if coefficient != 1 or not above:
-            above.insert(0, self._number(coefficient))
-        text = " * ".join(above)
-        if below:
-            text += " / " + (below[0] if len(below) == 1 else f"({' * '.join(below)})")
-        return f"({sign}{text})"
-
-    def _power(self, base: Any, exponent: Any) -> str:
-        if base == sympy.E:
-            return self.call("exp", self.whole(exponent))
-        if exponent.is_Rational and exponent.is_negative:
-            return f"(1.0 / {self._power(base, -exponent)})"
-        if exponent == 1:
-            return self(base)
-        if exponent == sympy.Rational(1, 2):
-            return self.call("sqrt", self.whole(base))
-        if exponent.is_Integer and 2 <= exponent <= 64:
-            self.powers.add(int(exponent))
-            return self.call(f"model_power_{int(exponent)}", self.whole(base))
-        return self.call("pow", self.whole(base), self.whole(exponent))
-
-    def _number(self, e: Any) -> str:
-        text = repr(nearest(e))
-        return f"({text})" if text.startswith("-") else text
-
-    def _function(self, e: Any) -> str:
-        if isinstance(e, sympy.Piecewise):
-            text = self.nowhere
-            for value, condition in reversed(e.args):
-                text = self.whole(value) if condition == sympy.true else (
-                    self.choice(self._condition(condition), self.whole(value), text)
-                )
-            return text
-        parts = map(self.whole, e.args)
-        if name := FUNCTIONS.get(e.func) or _OWN.get(e.func):
-            return self.call(name, *parts)
-        if name := _OF_TWO.get(e.func):
-            return functools.reduce(lambda one, other: self.call(name, one, other), parts)
-        if name := _INVERSE.get(e.func):
-            return f"(1.0 / {self.call(name, next(parts))})"
-        raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
-
-    _signs = {"and": " && ", "or": " || ", "not": "!", True: "1", False: "0"}
-
-    def _condition(self, e: Any) -> str:
-        if isinstance(e, BooleanTrue | BooleanFalse):
-            return self._signs[bool(e)]
-        if isinstance(e, sympy.core.relational.Relational):
-            return f"({self.whole(e.lhs)} {e.rel_op} {self.whole(e.rhs)})"
-        if isinstance(e, sympy.Not):
-            return f"{self._signs['not']}{self._condition(e.args[0])}"
-        if isinstance(e, sympy.And | sympy.Or):
-            sign = self._signs["and" if isinstance(e, sympy.And) else "or"]
-            return f"({sign.join(map(self._condition, e.args))})"
-        raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
-
-
-class VectorPrinter(Printer):
-    """Expressions as C for vectors; expressions without symbols remain numbers.
-
-    Attributes
-    ----------
-    called : set of str
-        The functions of the math library that are used.
-    """
-
-    real, nowhere = "dal_vec", "DAL_LANES(all_of)(NAN)"
-    _signs = {
-        "and": " & ", "or": " | ", "not": "~", True: "~(dal_mask){0}", False: "(dal_mask){0}",
-    }  # fmt: skip
-
-    def __init__(self, powers: set[int]) -> None:
-        super().__init__(powers)
-        self.called: set[str] = set()
-
-    def __call__(self, e: Any) -> str:
-        return super().__call__(e) if e.free_symbols else Printer(set())(e)
-
-    def name(self, name: str) -> str:
-        return f"DAL_LANES({name})"
-
-    def whole(self, e: Any) -> str:
-        return self(e) if e.free_symbols else f"DAL_LANES(all_of)({self(e)})"
-
-    def call(self, name: str, *arguments: str) -> str:
-        if name != "fabs" and not name.startswith("model_"):
-            self.called.add(name)
-        return super().call(self.name(name), *arguments)
-
-    def choice(self, condition: str, value: str, other: str) -> str:
-        return super().call("DAL_LANES(choose)", condition, value, other)
 
 
 def c_identifier(name: str | None, default: str) -> str:

@@ -11,13 +11,14 @@ import warnings
 from typing import Any
 
 import numpy as np
+import sympy
 
 from .. import compiler
 from ..compiler import Library
 from ..core import Array, DalembertWarning, arguments, functions
 from ..core.functions import Function
 from . import codegen
-from .model import Model, default_engine
+from .model import Model
 
 _PACKAGE = __name__.partition(".")[0]
 
@@ -31,7 +32,10 @@ _WITHOUT_COMPILER = (
 def _generator() -> str:
     """Return a digest of all code that turns a model into C."""
     here = importlib.resources.files(__package__)
-    names = ("formula.py", "model.py", "zeros.py", "pattern.py", "codegen.py")
+    names = (
+        "formula.py", "symbols.py", "graph.py", "reading.py", "printing.py", "walls.py", "values.py",
+        "derive.py", "model.py", "zeros.py", "pattern.py", "codegen.py",
+    )  # fmt: skip
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 
 
@@ -43,11 +47,10 @@ def library(model: Model, lanes: bool = False) -> Library | None:
     """
     lanes = lanes and codegen.has_lanes(model)
 
-    def program() -> tuple[str, compiler.Origin]:
-        made = codegen.program(model, lanes=lanes)
-        return made.source, lambda line: made.origin(line, model.shown)
+    def program() -> str:
+        return codegen.program(model, lanes=lanes).source
 
-    return compiler.library(model.key, f"{default_engine()}, {_generator()}", program, lanes)
+    return compiler.library(model.key, f"sympy {sympy.__version__}, {_generator()}", program, lanes)
 
 
 class Evaluation:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .graph import below
 from .model import Model
 
 MOST = 8  # coordinates; n*n bits have to fit into a word of 64
@@ -79,7 +80,7 @@ def pattern(model: Model) -> Pattern:
     of_momenta = derived.has_momenta
 
     def rows(entries: Sequence[Any]) -> Any:
-        return np.array([e != 0 for e in entries], dtype=bool).reshape(-1, n)
+        return np.array([not e.is_zero for e in entries], dtype=bool).reshape(-1, n)
 
     forms = derived.entries("constraint", "phi_v")
     mu, N = rows(forms), rows(derived.entries("constraint", "phi_q"))
@@ -98,12 +99,12 @@ def pattern(model: Model) -> Pattern:
     kick = (rows(force) @ inverse).any(axis=0)
     pull = pushed | kick
     # what mu depends on: not only where it has a derivative
-    bending = {s.name for e in forms for s in e.free_symbols}
+    bending = {e.value for e in below(forms) if e.op == "symbol"}
     steady = model.m > 0 and not model.is_time_dependent and not of_momenta
     bends = np.array([q.name in bending for q in model.q], dtype=bool)
     steady = steady and not (pushed & bends).any()
-    alone, M = inverse.sum(axis=0) == 1, derived.mass or [0] * n * n
-    one = np.array([M[i * n + i] == 1 for i in range(n)], dtype=bool) & alone
+    alone, M = inverse.sum(axis=0) == 1, derived.mass
+    one = np.array([M is not None and M[i * n + i].value == 1 for i in range(n)]) & alone
     matrices = (
         inverse, mu, Z, N, pull[None], kick[None], one[None],
         *slopes, _filled(K) if of_momenta else none,
@@ -114,10 +115,10 @@ def pattern(model: Model) -> Pattern:
 
 def field_zeros(model: Model) -> str:
     """Return the ``dal_field_zeros`` of field.h in C, for at most `MOST` coordinates."""
-    n, terms = model.n, model.terms.outputs
+    n, terms = model.n, model.derived.terms.outputs
 
     def rows(entries: Sequence[Any], columns: int = n) -> Any:
-        return np.array([e != 0 for e in entries], dtype=bool).reshape(-1, columns)
+        return np.array([not e.is_zero for e in entries], dtype=bool).reshape(-1, columns)
 
     mass = rows(model.derived.mass or terms["M"])
     inverse, L = _closed(mass), np.tril(_filled(mass), -1)

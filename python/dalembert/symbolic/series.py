@@ -7,7 +7,8 @@ from typing import Any
 
 import sympy
 
-from .model import TIME, Model, nearest
+from .model import Model, nearest
+from .symbols import TIME
 from .zeros import of_sympy
 
 Expr = Any
@@ -36,14 +37,14 @@ def ode(model: Model, heyoka: Any) -> tuple[list[tuple[Any, Any]], bool]:
     ValueError
         If an expression has no Taylor series.  The message has it, in the user's names.
     """
-    function = model.terms
-    outputs = {name: [*map(function.engine.give, x)] for name, x in function.outputs.items()}
+    formula = model.derived.read.formula
+    outputs = {name: [*map(formula, x)] for name, x in model.derived.terms.outputs.items()}
     outputs = {
         name: [e.replace(_is_whole, lambda part: part.args[-1].expr) for e in x]
         for name, x in outputs.items()
     }
-    mass = model.derived.mass or outputs["M"]
-    outputs["M"] = [*mass]
+    if model.derived.mass is not None:
+        outputs["M"] = [*map(formula, model.derived.mass)]
     temporaries, reduced = sympy.cse(
         [e for x in outputs.values() for e in x], sympy.numbered_symbols("x"), list=False
     )

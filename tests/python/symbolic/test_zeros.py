@@ -5,6 +5,7 @@ Walls, pieces and numbers of any size are compiled.
 
 import functools
 import random
+from fractions import Fraction
 import re
 
 import mpmath
@@ -21,9 +22,10 @@ from sympy.parsing.sympy_parser import (
 )  # fmt: skip
 
 import dalembert as dal
-import dalembert.symbolic.codegen as codegen
 import dalembert.symbolic.given as symbolic
+from dalembert.symbolic.graph import Graph
 from dalembert.symbolic.pattern import pattern
+from dalembert.symbolic.printing import nearest
 from dalembert.symbolic.zeros import is_zero
 
 a, b, c, m = sympy.symbols("a b c m", real=True)
@@ -324,8 +326,9 @@ def test_units_of_any_size():
     tiny = Float("1e-160")  # its square is no double; a product of both is not needed
     assert made(T - sin(tiny * x) / tiny).acceleration([1, 0, 0], [0, 0, 0])[0] == -1
     assert made(T - 7).energy([0, 0, 0], [0, 0, 0]) == 7
-    with pytest.raises(ValueError, match=r"V_qq.* of the potential: .*E-320 is too small for a do"):
-        made(T - sin(tiny * x))
+    np.testing.assert_allclose(
+        made(T - sin(tiny * x)).acceleration([0, 0, 0], [0, 0, 0])[0], -1e-160, rtol=U
+    )
     for size, word in (("1e-310", "small"), ("1e400", "large")):
         with pytest.raises(ValueError, match=f"^L: .* is too {word} for a double"):
             made(T - Float(size) * x)
@@ -343,7 +346,7 @@ def test_numbers_that_are_no_quotient_of_doubles():
     found = system.acceleration([1, 1, 1], [0, 0, 0])
     np.testing.assert_allclose(found, expected * (np.sin(expected) - 1), rtol=8 * U)
     for ratio, value in zip(ratios, expected):
-        assert float(codegen.Printer(set())(ratio).strip("()")) == value
+        assert nearest(Graph().number(Fraction(ratio.p, ratio.q))) == value
 
 
 def test_jumps_of_derivatives():
@@ -364,7 +367,7 @@ def test_jumps_of_derivatives():
         assert found.acceleration(*at)[0] == pytest.approx(expected, rel=8 * U), V
         assert bool(found.check(*at)), V
     cubic = made(T + Abs(x.d) ** 3 / 6)  # M = 1 + |v_x|
-    assert cubic.metric(at[0], [-2, 2, 1])[0, 0] == 3
+    assert cubic.metric(at[0], [-2, 2, 1])[0, 0] == pytest.approx(3, rel=4 * U)
     friction = made(T, force={x: -sign(x.d) / 4, y: -Heaviside(y, 0), z: Heaviside(z)})
     np.testing.assert_array_equal(friction.acceleration([0, 0, 0], [1, 1, 1]), [-0.25, 0, 0.5])
     for L, constraints, where, what in [
@@ -486,12 +489,12 @@ def test_entries(make):
     outputs = dict(of.derived.function("constraint").outputs)
     matrices = {"inverse": np.zeros((n, n)), "mu": 0, "Z": 0, "N": 0}
     source = np.random.default_rng(3)
-    inverse = np.linalg.inv(np.array(of.derived.mass, dtype=float).reshape(n, n))
+    inverse = np.linalg.inv(np.array([e.value for e in of.derived.mass], dtype=float).reshape(n, n))
     for _ in range(3):
-        at = {s.name: x for s, x in zip((*of.q, *of.v), source.uniform(0.2, 1.2, 2 * n))}
+        at = dict(zip((*of.q, *of.v), source.uniform(0.2, 1.2, 2 * n)))
 
         def numbers(name):
-            values = [sympy.sympify(e).subs(at) for e in outputs[name]]
+            values = [of.derived.read.formula(e).subs(at) for e in outputs[name]]
             return np.array(values, dtype=float).reshape(-1, n)
 
         mu = numbers("phi_v")
