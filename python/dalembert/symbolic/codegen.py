@@ -297,8 +297,7 @@ def _outputs(
             for line in text.names(own, entries.values()):
                 made.add(f"        {line}")
             if len(entries) < size:
-                zero = text.whole(model.derived.read.graph.zero)
-                made.add(f"        for (size_t i = 0; i < {size}; i++) {output}[i] = {zero};")
+                made.add(f"        for (size_t i = 0; i < {size}; i++) {output}[i] = {text.zero};")
             for k, e in entries.items():
                 made.add(f"        {output}[{k}] = {text.whole(e)};")
             made.add("    }")

@@ -69,14 +69,18 @@ PYTHON = Style("{} = {}", {
 
 
 def spelled(nodes: Sequence[Node]) -> list[Node]:
-    """Return nodes without powers that are products, quotients or square roots."""
-    made: dict[Node, Node] = {}
+    """Return nodes without powers that are products, quotients or square roots.
+
+    They are nodes of a graph of their own, so that their text does not depend on what else was
+    done with that of the model.
+    """
+    graph, made = Graph(), dict[Node, Node]()
     for node in below(nodes):
         args = [made[a] for a in node.args]
         if node.op == "pow":
-            made[node] = _spelled_power(node.graph, args[0], node.value)
+            made[node] = _spelled_power(graph, args[0], node.value)
         else:
-            made[node] = node.graph.make(node.op, *args, value=node.value)
+            made[node] = graph.make(node.op, *args, value=node.value)
     return [made[e] for e in nodes]
 
 
@@ -153,6 +157,11 @@ class Text:
             lines.append(line.format(name, text))
             self._known[node] = name, _ATOM
         return lines
+
+    @property
+    def zero(self) -> str:
+        """The text of 0, as a value of its own."""
+        return self.style.vector.format("0.0") if self.style.vector else "0.0"
 
     def whole(self, node: Node) -> str:
         """Return the text of a node after its parts were named, as a value of its own."""
