@@ -439,9 +439,9 @@ except ImportError as error:
 
 
 def test_without_what_is_optional(cache):
-    """Neither SymEngine, numba and SciPy nor a compiler: the same, slower."""
+    """Neither numba and SciPy nor a compiler: the same, slower."""
     # an import of these raises ImportError
-    head = "import sys; sys.modules |= dict.fromkeys(('symengine', 'numba', 'scipy'))\n"
+    head = "import sys; sys.modules |= dict.fromkeys(('numba', 'scipy'))\n"
     done = in_a_process(WITHOUT, head, CC="/nowhere/cc")
     assert done.stderr.count("DalembertWarning: no C compiler was found") == 1
     end, growth, numba = done.stdout.splitlines()

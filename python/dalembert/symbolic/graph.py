@@ -8,7 +8,7 @@ and are computed once.
 These are the rules by which formulas are rewritten, and all of them:
 
 - Numbers are rational, and folded exactly, unless the result is out of the range of doubles.
-- A number comes first in a product, and once: (2 x) (3 y) is 6 (x y).
+- A number comes first in a product, and once: (2 x) (3 y) is 6 (x y); -(x - y) is y - x.
 - In a sum equal terms are collected, also those of sums in it that are not long; in a product
   equal bases, with their exponents.
 - x + 0, 1 x, 0 x, x^1, x^0 and (x^a)^b are what they are for numbers.
@@ -106,8 +106,8 @@ class Node:
     def __mul__(self, other: Node | Number) -> Node:
         return self.graph.product([self, other])
 
-    def __truediv__(self, other: Node) -> Node:
-        return self.graph.product([self, self.graph.power(other, -1)])
+    def __truediv__(self, other: Node | Number) -> Node:
+        return self * self.graph.power(self.graph.node(other), -1)
 
     def __rtruediv__(self, other: Number) -> Node:
         return self.graph.node(other) / self
@@ -236,6 +236,8 @@ class Graph:
         if not _is_in_range(factor * inner):
             return self.make("*", self.number(factor), e)
         factor = factor * inner
+        if factor < 0 and rest.op == "-":
+            factor, rest = -factor, self.make("-", *rest.args[::-1])
         if rest is self.one or factor == 0:
             return self.number(factor)
         return rest if factor == 1 else self.make("*", self.number(factor), rest)
@@ -539,7 +541,7 @@ _SLOPES: dict[str, Callable[..., tuple[Node, ...]]] = {
     "atan2": lambda g, f, y, x: (x / (x**2 + y**2), -y / (x**2 + y**2)),
     "sinh": lambda g, f, x: (g.call("cosh", x),),
     "cosh": lambda g, f, x: (g.call("sinh", x),),
-    "tanh": lambda g, f, x: (1 - f**2,),
+    "tanh": lambda g, f, x: (1 / g.call("cosh", x) ** 2,),  # 1 - f^2 has no digits for large x
     "asinh": lambda g, f, x: (1 / g.call("sqrt", 1 + x**2),),
     "acosh": lambda g, f, x: (1 / (g.call("sqrt", x - 1) * g.call("sqrt", x + 1)),),
     "atanh": lambda g, f, x: (1 / (1 - x**2),),

@@ -43,8 +43,12 @@ def _value(e: Node, args: list[Any], point: Mapping[str, Any]) -> Any:
         return e.value._to_mpmath(mpmath.mp.prec)
     if op == "pow":
         return mpmath.power(args[0], mpmath.mpf(e.value.numerator) / e.value.denominator)
+    if any(mpmath.mag(x) > _LARGEST for x in args if x):
+        raise OverflowError  # a sine would reduce it by pi without an end
     return getattr(mpmath, op)(*args)
 
+
+_LARGEST = 2000  # the exponent of 2 of an argument
 
 _VALUES = {
     "+": lambda a, b: a + b, "-": lambda a, b: a - b, "*": lambda a, b: a * b,

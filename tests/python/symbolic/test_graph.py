@@ -1,0 +1,148 @@
+"""The graph of operations: its rules, its derivatives, and its text, against SymPy and mpmath."""
+
+import itertools
+import random
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+import sympy
+
+from dalembert.symbolic.graph import Graph, below
+from dalembert.symbolic.printing import function
+from dalembert.symbolic.reading import Reader
+from dalembert.symbolic.values import may_vanish, values
+
+U = 2.0**-53
+
+
+@pytest.fixture
+def graph():
+    return Graph()
+
+
+def test_rules(graph):
+    """Equal formulas are one node; each line is a rule of the module."""
+    x, y, z = map(graph.symbol, "xyz")
+    third = Fraction(1, 3)
+    same = [
+        (x + y, y + x), (x * y, y * x), ((2 * x) * (3 * y), 6 * (x * y)), (x + 0, x), (1 * x, x),
+        (x + x, 2 * x), (x - y - x, -y), (2 * x + third * x, Fraction(7, 3) * x), (x * x, x**2),
+        (x**2 * x**-2, graph.one), (x**2 / x, x), ((x**2) ** 3, x**6), ((2 * x) ** 3, 8 * x**3),
+        (graph.call("sqrt", x) ** 2, x), (graph.call("sqrt", x) * graph.call("sqrt", x), x),
+        ((x + y) + (z - x), y + z), (3 * (x + y) - 3 * x, 3 * y), (0 * x, graph.zero),
+        (graph.call("cos", graph.zero), graph.one), (-(x - y), y - x), (x / 2, x * Fraction(1, 2)),
+        (graph.call("max", graph.number(2), graph.number(3)), graph.number(3)),
+        (graph.choose(graph.truth(True), x, y), x), (graph.choose(graph.truth(False), x, y), y),
+    ]  # fmt: skip
+    for k, (one, other) in enumerate(same):
+        assert one is other, k
+    different = [(graph.call("sqrt", x**2), x), (x - y, y - x), (x**third, x), (x / y, y / x)]
+    for k, (one, other) in enumerate(different):
+        assert one is not other, k
+
+
+def test_numbers_are_exact_unless_out_of_range(graph):
+    x = graph.symbol("x")
+    small = Fraction(1, 10**200)
+    assert (Fraction(1, 10) * (Fraction(1, 10) * x)).args[0].value == Fraction(1, 100)
+    product = small * (small * x)  # whose factor is no double
+    assert [a.value for a in (product.args[0], product.args[1].args[0])] == [small, small]
+    assert (10**200 * product).args[1].op != "number"
+    twice = graph.product([10**200, 10**200, x])
+    assert values([twice], {"x": 1})[0] == mpmath.mpf(10) ** 400
+
+
+def test_long_chains_are_trees(graph):
+    """256 terms need 8 additions one after the other; a sine is added last."""
+    terms = [graph.symbol(f"x{i}") for i in range(256)]
+    assert graph.sum(terms).depth == 8 and graph.product(terms).depth == 8
+    last = graph.sum([graph.call("sin", terms[0]), *terms[1:9]])
+    assert last.depth == graph.call("sin", terms[0]).depth + 1
+    whole = graph.sum(terms)
+    assert len(graph.gradient(whole, terms)) == 256
+    assert [*map(len, [below([whole]), below([whole], terms[3].bit)])] == [511, 9]
+
+
+def test_collected_terms_of_a_symmetric_form(graph):
+    """The momenta of v^T M v / 2 are M v: no entry is added to itself."""
+    v = [graph.symbol(f"v{i}") for i in range(3)]
+    M = [[graph.symbol(f"M{min(i, j)}{max(i, j)}") for j in range(3)] for i in range(3)]
+    rows = [graph.sum(a * b for a, b in zip(row, v)) for row in M]
+    L = Fraction(1, 2) * graph.sum(a * b for a, b in zip(v, rows))
+    slopes = graph.gradient(L, v)
+    for i in range(3):
+        assert len(below([slopes[v[i]]])) == 3 + 3 + 5, i
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_derivatives_of_any_order_along_directions(graph, order):
+    """Along again, in mixed directions, against SymPy."""
+    symbols = sympy.symbols("x y z", real=True)
+    x, y, z = symbols
+    e = sympy.exp(x * y) / (2 + sympy.sin(z)) + sympy.tanh(x - z) * sympy.sqrt(1 + y**2) ** 3
+    nodes = {s: graph.symbol(s.name) for s in symbols}
+    root, expected = [Reader(graph, nodes)(e)], e
+    source = random.Random(order)
+    for _ in range(order):
+        direction = {s: source.randint(-3, 3) for s in symbols}
+        root = graph.along(root, {nodes[s]: k for s, k in direction.items()})
+        expected = sum(k * sympy.diff(expected, s) for s, k in direction.items())
+    point = {s.name: source.randint(1, 900) / 701 for s in symbols}
+    with mpmath.workdps(40):
+        wanted = expected.xreplace({s: sympy.Rational(point[s.name]) for s in symbols})
+        wanted = wanted._to_mpmath(mpmath.mp.prec)
+        assert abs(values(root, point)[0] - wanted) <= 1e-32 * (1 + abs(wanted))
+
+
+def test_digits_of_smooth_steps():
+    """The slope of tanh keeps its digits far out, where 1 - tanh^2 has none."""
+    graph = Graph()
+    x = graph.symbol("x")
+    (slope,) = graph.gradient(graph.call("tanh", x), [x]).values()
+    z = sympy.Symbol("x", real=True)
+    at = function({"x": z}, [Reader(graph, {z: x}).formula(slope)])
+    for value in (0.3, 5.0, 20.0, 300.0):
+        expected = float(1 / mpmath.cosh(value) ** 2)
+        assert at(value)[0] == pytest.approx(expected, rel=8 * U)
+
+
+def test_text_groups_as_the_graph():
+    """Differences and quotients, in all groupings, to the last bit."""
+    a, b, c = symbols = sympy.symbols("a b c", real=True)
+    forms = [
+        a - (b - c), a - (b + c), (a - b) - c, a / (b * c), a / b / c, a / (b / c), -a * (b + c),
+        -(a + b) * c, a * (b - c) - b * (c - a), -a / b - c, (a * b) ** 3 - c**-2, -(a**2) * -b,
+        2 - a, -3 + a * -2, sympy.sqrt(a) ** -3, a ** sympy.Rational(5, 2), 1 / (3 + a / b),
+    ]  # fmt: skip
+    at = function({"z": symbols}, forms)
+    source = np.random.default_rng(4)
+    for _ in range(20):
+        point = source.uniform(0.5, 2.0, 3)
+        exact = {s: sympy.Rational(x) for s, x in zip(symbols, point)}
+        for e, found in zip(forms, at(point)):
+            wanted = float(e.xreplace(exact))
+            assert abs(found - wanted) <= 64 * U * max(1.0, abs(wanted)), e
+
+
+def test_values_that_no_precision_reaches():
+    """Arguments of sines that have 10^12 digits are given up, at once."""
+    graph = Graph()
+    x = graph.symbol("x")
+    for e in (graph.call("cos", graph.call("exp", 10**12 * x)),
+              graph.call("sin", graph.call("cosh", 10**34 * x))):  # fmt: skip
+        assert may_vanish([x * e], {"x": 0.7}) == [True]
+
+
+def test_the_same_text_in_any_order_of_questions(graph):
+    """Symbols and parts that were read before change nothing."""
+    x, y = sympy.symbols("x y", real=True)
+    forms = [x**2 + y**2 + sympy.sin(x * y), x**3 - y]
+    texts = set()
+    for order in itertools.permutations([x, x**2, sympy.sin(x * y)]):
+        read = Reader(graph, {s: graph.symbol(s.name) for s in (x, y)})
+        for e in order:
+            read(e)
+        texts.add(str([read.formula(read(e)) for e in forms]))
+    assert len(texts) == 1
