@@ -18,6 +18,8 @@ import fcntl
 import functools
 import hashlib
 import importlib.resources
+import logging
+import math
 import os
 import platform
 import re
@@ -26,16 +28,18 @@ import shutil
 import signal
 import stat
 import subprocess
+import sys
 import tempfile
 import time
 import warnings
 import weakref
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
 from . import core
-from .core import DalembertError, DalembertWarning, files
+from .core import DalembertError, DalembertWarning, extras, files
 
 __all__ = ["Compiler", "CompilerError", "Library", "clear", "entries", "find", "folder", "library"]
 
@@ -72,6 +76,9 @@ HEADERS = (
 
 # Seconds after which a compiler is taken to hang; a large model takes some.
 LIMIT = 600.0
+
+_log = logging.getLogger(__name__)
+_progress: ContextVar[extras.Progress | None] = ContextVar("progress", default=None)
 
 _PLACE = "dalembert-compiles-"  # begins the names of the directories in which compilers run
 
@@ -129,8 +136,10 @@ def _flags_for_lanes(compiler: Compiler) -> tuple[str, ...]:
     return COMMON
 
 
-def compile_program(compiler: Compiler, source: str, lanes: bool = False) -> bytes:
-    """Return the shared library compiled from a source.
+def compile_program(
+    compiler: Compiler, source: str, lanes: bool = False, tick: Callable[[], None] = lambda: None
+) -> bytes:
+    """Return the shared library compiled from a source; ``tick`` is called now and then.
 
     A CompilerError has the line of C that the compiler rejects.
     """
@@ -143,13 +152,15 @@ def compile_program(compiler: Compiler, source: str, lanes: bool = False) -> byt
             (root / ("" if name == "dalembert.h" else "dalembert") / name).write_text(text)
         (root / "model.c").write_text(source, encoding="ascii")
         command = [*compiler.command, *flags, "-I.", "model.c", "-o", "model.so", "-lm"]
-        status, printed = _run(command, root)
+        status, printed = _run(command, root, tick)
         if status != 0 or not (root / "model.so").exists():
             raise CompilerError(_explain(command, source, printed))
         return (root / "model.so").read_bytes()
 
 
-def _run(command: list[str], root: Path) -> tuple[int, str]:
+def _run(
+    command: list[str], root: Path, tick: Callable[[], None] = lambda: None
+) -> tuple[int, str]:
     """Run a compiler in a directory; return its status and its output.
 
     It leads a group of processes that is ended with it, also after the time limit or Ctrl-C.
@@ -161,9 +172,14 @@ def _run(command: list[str], root: Path) -> tuple[int, str]:
         )  # fmt: skip
     except OSError as error:
         raise CompilerError(f"{shlex.join(command)}: {error}") from error
+    end = time.monotonic() + LIMIT
     with process:
         try:
-            _, printed = process.communicate(timeout=LIMIT)
+            printed = None
+            while printed is None:
+                with contextlib.suppress(*[subprocess.TimeoutExpired] * (time.monotonic() < end)):
+                    _, printed = process.communicate(timeout=0.2)
+                tick()
         except BaseException as error:
             if process.returncode is None:
                 os.killpg(process.pid, signal.SIGKILL)
@@ -293,6 +309,59 @@ def _private_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="dalembert-")
 
 
+# ---- while it takes long ------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def showing(progress: extras.Progress | None) -> Iterator[None]:
+    """Show the progress of compiling in this way; None: a bar in a terminal."""
+    token = _progress.set(progress)
+    try:
+        yield
+    finally:
+        _progress.reset(token)
+
+
+@contextlib.contextmanager
+def _waiting(begin: float, size: int) -> Iterator[Callable[[], None]]:
+    """Provide a function that shows the seconds since the beginning, if these are more than one.
+
+    A line in the log has the size of the program in C, and the time that one of this size took.
+    """
+    show: extras.Show | None = None
+    before: float | None = None
+    with contextlib.ExitStack() as stack:
+
+        def tick() -> None:
+            nonlocal show, before
+            seconds = time.monotonic() - begin
+            if seconds < 1.0:
+                return
+            if show is None:
+                before = _seconds_before(size)
+                last = f"; the last one of this size took {before:.0f} s" if before else ""
+                _log.info("compiling a model of %d kB of C%s", size // 1000, last)
+                wanted = _progress.get()
+                if wanted is None:
+                    wanted = sys.stderr.isatty() and extras.is_there("tqdm")
+                show = stack.enter_context(extras.progress(wanted, before or seconds, "s"))
+            show(seconds, max(before or 0.0, seconds))
+
+        yield tick
+
+
+def _seconds_before(size: int) -> float | None:
+    """Return the time that the compiled model took whose program is nearest in size."""
+    best, seconds = 0.5, None  # of the logarithm
+    for path in entries():
+        with contextlib.suppress(OSError):
+            text = path.with_suffix(".c").read_text("ascii")
+            found = re.search(r"compiled in (\S+) s", text[-50:])
+            if found and (distance := abs(math.log(len(text) / size))) < best:
+                best, seconds = distance, float(found[1])
+    return seconds
+
+
 # ---- libraries ---------------------------------------------------------------------------------
 
 
@@ -344,7 +413,7 @@ def library(
 
 
 def _load_or_compile(
-    compiler: Compiler, key: str, program: Program, lanes: bool
+    compiler: Compiler, key: str, program: Callable[[], str], lanes: bool
 ) -> Library:
     """Load a library from the cache, or compile it and store it there."""
     path = folder() / f"{key}.so"
@@ -378,11 +447,16 @@ def _alone(path: Path) -> Iterator[None]:
         yield
 
 
-def _compile(compiler: Compiler, key: str, program: Program, lanes: bool) -> Library:
-    """Compile a library, and store it in the cache."""
+def _compile(
+    compiler: Compiler, key: str, program: Callable[[], str], lanes: bool
+) -> Library:
+    """Compile a library, and store it in the cache, with the time that it took."""
     path = folder() / f"{key}.so"
+    begin = time.monotonic()
     source = program()
-    content = compile_program(compiler, source, lanes)
+    with _waiting(begin, len(source)) as tick:
+        content = compile_program(compiler, source, lanes, tick)
+    source += f"/* compiled in {time.monotonic() - begin:.3g} s */\n"
     try:
         return Library(_store(path.parent, key, source, content))
     except OSError as error:

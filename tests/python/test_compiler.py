@@ -2,6 +2,7 @@
 
 import importlib.util
 import inspect
+import logging
 import multiprocessing
 import os
 import pickle
@@ -491,6 +492,25 @@ def test_what_the_compiler_refuses_is_explained(cache, monkeypatch):
     assert "no_such_function" in text and "-ffp-contract=off" in text
     assert re.search(r"line \d+: implicit declaration", text)
     assert compiler.entries() == []
+
+
+def test_long_compilations_say_how_long_they_take(cache, monkeypatch, tmp_path, caplog):
+    """After a second, in the log and to a function; the second model of a size knows of the first."""
+    slow, calls = tmp_path / "cc", []
+    slow.write_text(f'#!/bin/sh\nsleep 1.3\nexec {compiler.find().command[0]} "$@"\n')
+    slow.chmod(0o755)
+    monkeypatch.setenv("CC", str(slow))
+    x, y = dal.coordinates("x y")
+    with caplog.at_level(logging.INFO, "dalembert.compiler"):
+        for k in (2, 3):
+            L = (x.d**2 + y.d**2) / 2 - k * x**2
+            dal.System.from_sympy(L, progress=lambda *call: calls.append(call))
+    first, second = (r.getMessage() for r in caplog.records)
+    assert "the last one of this size took" not in first
+    assert re.fullmatch(r"compiling a model of \d+ kB of C; the last one .* took \d s", second)
+    assert all(1.0 <= done <= total for done, total in calls) and len(calls) >= 2
+    quiet = dal.System.from_sympy(L, progress=lambda *call: calls.append("again"))
+    assert quiet.n == 2 and "again" not in calls  # from the cache
 
 
 def test_a_compiler_that_cannot_run(cache, monkeypatch, tmp_path):

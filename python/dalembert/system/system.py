@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import core, geometry, growth, symbolic
+from .. import compiler, core, geometry, growth, symbolic
 from ..core import KINDS, Handle, Pair, arguments, extras, lib
 from ..core.documentation import Common
 from ..core.extras import Progress
@@ -215,7 +215,7 @@ class System(Handle):
             If a symbol is unknown, an expression is not allowed in its place, a function cannot be
             compiled, or a derivative needs a ``DiracDelta``.  The message names it.
         dalembert.compiler.CompilerError
-            If the compiler rejects the program; the message has the line and its expression.
+            If the compiler rejects the program; the message has the line.
         ImportError
             If SymPy is not installed.
 
@@ -240,11 +240,12 @@ class System(Handle):
         arguments.mapping(asked.parameters, "parameters")
         arguments.mapping(asked.force, "force")
         sources.require_named(asked.invariants)
-        values = {name: x for name, x in vars(asked).items() if name != "units"}
+        values = {name: x for name, x in vars(asked).items() if name not in ("units", "progress")}
         about = {name: values.pop(name) for name in options_of(About)}
         first = [values.pop(name) for name in ("L", "constraints", "coordinates", "parameters")]
         taken = symbolic.given.take(*first, **values)
-        return cls._of(sources.Expressions(about=about, **taken), asked.units)
+        with compiler.showing(asked.progress):
+            return cls._of(sources.Expressions(about=about, **taken), asked.units)
 
     @classmethod
     def from_lagranges_method(
