@@ -495,7 +495,7 @@ def test_what_the_compiler_refuses_is_explained(cache, monkeypatch):
 
 
 def test_long_compilations_say_how_long_they_take(cache, monkeypatch, tmp_path, caplog):
-    """After a second, in the log and to a function; the second model of a size knows of the first."""
+    """After a second, in the log and to a function; the second knows the time of the first."""
     slow, calls = tmp_path / "cc", []
     slow.write_text(f'#!/bin/sh\nsleep 1.3\nexec {compiler.find().command[0]} "$@"\n')
     slow.chmod(0o755)

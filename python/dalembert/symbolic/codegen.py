@@ -272,8 +272,8 @@ def _outputs(
 ) -> None:  # fmt: skip
     """Write the computation of the outputs.
 
-    What several outputs share comes before them.  What only second derivatives share comes after
-    the others, and after a return if none of them is asked for.
+    Parts that several outputs share come before them.  Those that second derivatives alone share
+    come after the other outputs, and after a return if no second derivative is asked for.
     """
     users: dict[Node, set[str]] = {}
     for output, entries in outputs.items():

@@ -294,7 +294,8 @@ class _Derivation:
         if self.are_without(L_vv, L, self.v):  # then L = v^T M v / 2 + b(q) v - V(q)
             return tuple(M) if self.are_zero(at_rest[:-1]) else None
         pairs = itertools.product(self.v, repeat=2)
-        kinetic = graph.sum(Fraction(1, 2) * (e * a * b) for e, (a, b) in zip(M, pairs) if not e.is_zero)
+        terms = (e * a * b for e, (a, b) in zip(M, pairs) if not e.is_zero)
+        kinetic = Fraction(1, 2) * graph.sum(terms)
         return tuple(M) if self.are_zero([L - at_rest[-1] - kinetic]) else None
 
     # ---- the constraints -----------------------------------------------------------------------

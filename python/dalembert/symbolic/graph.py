@@ -11,7 +11,7 @@ These are the rules by which formulas are rewritten, and all of them:
 - A number comes first in a product, and once: (2 x) (3 y) is 6 (x y); -(x - y) is y - x.
 - In a sum equal terms are collected, also those of sums in it that are not long; in a product
   equal bases, with their exponents.
-- x + 0, 1 x, 0 x, x^1, x^0 and (x^a)^b are what they are for numbers.
+- x + 0, 1 x, 0 x, x^1, x^0 and (x^a)^b are simplified as for numbers.
 - A function of numbers is a number where that is exact, as cos(0) and max(2, 3).
 - The arguments of a sum, a product, a maximum and a minimum are in the order of their creation.
 - Long sums and products are trees in which the operands that are known first meet first.
@@ -65,7 +65,7 @@ class Node:
     reach : int
         The bits of all symbols, and of jumps, in it.
     index : int
-        Nodes are numbered as they are made, so arguments come before what is made from them.
+        Nodes are numbered as they are made, so arguments come before operations on them.
     depth : int
         The time after which the result is known, relative to that of a sum.
     bit : int
@@ -384,10 +384,12 @@ class Graph:
         elif op in _SLOPES:
             yield from zip(args, _SLOPES[op](self, e, *args))
 
-    def jumps(self, nodes: Iterable[Node], variables: Iterable[Node]) -> Iterator[tuple[Node, Node]]:
+    def jumps(
+        self, nodes: Iterable[Node], variables: Iterable[Node]
+    ) -> Iterator[tuple[Node, Node]]:
         """Yield each jump in nodes whose argument depends on a variable, and its factor.
 
-        The factor is the derivative by the jump.  Where it is not 0, a derivative has a DiracDelta.
+        The factor is the derivative by the jump.  Unless it is 0 there, there is a DiracDelta.
         """
         mask = mask_of(variables)
         for e in nodes:
@@ -470,7 +472,7 @@ def mask_of(variables: Iterable[Node]) -> int:
 
 
 def _terms(e: Node, factor: Number) -> list[tuple[Number, Node]]:
-    """Return the terms of a multiple of a sum; of a long one itself."""
+    """Return the terms of a multiple of a sum; a long sum is one term."""
     whole, found = (factor, e), list[tuple[Number, Node]]()
     left = [whole]
     while left:

@@ -1,4 +1,4 @@
-"""Models: a Lagrangian and constraints as SymPy expressions, and what is derived from them."""
+"""Models: a Lagrangian and constraints as SymPy expressions, and their derivatives."""
 
 from __future__ import annotations
 

@@ -71,8 +71,8 @@ PYTHON = Style("{} = {}", {
 def spelled(nodes: Sequence[Node]) -> list[Node]:
     """Return nodes without powers that are products, quotients or square roots.
 
-    They are nodes of a graph of their own, so that their text does not depend on what else was
-    done with that of the model.
+    Their graph is a new one.  So their text does not depend on other uses of the graph of the
+    model.
     """
     graph, made = Graph(), dict[Node, Node]()
     for node in below(nodes):
@@ -117,7 +117,7 @@ class Text:
         All nodes whose value is wanted.
     style : Style
     symbols : mapping of str to str, optional
-        What is written for a symbol.
+        The texts of symbols that are not their names.
 
     Attributes
     ----------

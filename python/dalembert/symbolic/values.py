@@ -12,7 +12,7 @@ from .graph import Node, below
 def values(nodes: Sequence[Node], point: Mapping[str, Any]) -> list[Any]:
     """Return the values of nodes at a point, given by symbol, in the precision of mpmath.
 
-    Where a node is not defined, its value is NaN.
+    A node that is not defined there is NaN.
     """
     found: dict[Node, Any] = {}
     for e in below(nodes):

@@ -1,6 +1,7 @@
 """The graph of operations: its rules, its derivatives, and its text, against SymPy and mpmath."""
 
 import itertools
+import operator
 import random
 from fractions import Fraction
 
@@ -10,7 +11,7 @@ import pytest
 import sympy
 
 from dalembert.symbolic.graph import Graph, below
-from dalembert.symbolic.printing import function
+from dalembert.symbolic.printing import as_function, function
 from dalembert.symbolic.reading import Reader
 from dalembert.symbolic.values import may_vanish, values
 
@@ -105,7 +106,7 @@ def test_digits_of_smooth_steps():
     at = function({"x": z}, [Reader(graph, {z: x}).formula(slope)])
     for value in (0.3, 5.0, 20.0, 300.0):
         expected = float(1 / mpmath.cosh(value) ** 2)
-        assert at(value)[0] == pytest.approx(expected, rel=8 * U)
+        assert at(value)[0] == pytest.approx(expected, rel=8 * U, abs=0)
 
 
 def test_text_groups_as_the_graph():
@@ -124,6 +125,38 @@ def test_text_groups_as_the_graph():
         for e, found in zip(forms, at(point)):
             wanted = float(e.xreplace(exact))
             assert abs(found - wanted) <= 64 * U * max(1.0, abs(wanted)), e
+
+
+def test_operations_on_operations_of_the_same_strength(graph):
+    """a - (b - c), a / (b / c), ...: all pairs, in both places."""
+    a, b, c = nodes = [graph.symbol(x) for x in "abc"]
+    at = dict(zip("abc", (Fraction(7), Fraction(5), Fraction(-2))))
+    exact = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
+    made, expected = [], []
+    for one, other in itertools.product("+-*/", repeat=2):
+        made.append(graph.make(one, a, graph.make(other, b, c)))
+        expected.append(exact[one](at["a"], exact[other](at["b"], at["c"])))
+        made.append(graph.make(one, graph.make(other, b, c), a))
+        # operands of sums and products have an order
+        pair = exact[other](at["b"], at["c"]), at["a"]
+        expected.append(exact[one](*pair))
+    point = [float(x) for x in at.values()]
+    for e, value in zip(made, expected):  # each alone, for shared parts have names
+        assert as_function({"z": nodes}, [e])(point)[0] == pytest.approx(float(value), rel=4 * U)
+
+
+def test_conditions():
+    """All relations and connectives, on both sides of their walls and on them."""
+    x, y = symbols = sympy.symbols("x y", real=True)
+    conditions = [
+        x > y, x >= y, x < y, x <= y, sympy.Eq(x, y), sympy.Ne(x, y), (x > 1) & (y < 2),
+        (x > 1) | (y < 2), ~((x > 1) & (y < 2)), sympy.ITE(x > 1, y > 2, y < 0),
+    ]  # fmt: skip
+    forms = [sympy.Piecewise((1, condition), (0, True)) for condition in conditions]
+    at = function({"z": symbols}, forms)
+    for point in itertools.product((-1, 1, 1.5, 2, 3), repeat=2):
+        exact = [int(bool(c.xreplace(dict(zip(symbols, map(sympy.Rational, point)))))) for c in conditions]
+        assert at(point) == exact, point
 
 
 def test_values_that_no_precision_reaches():

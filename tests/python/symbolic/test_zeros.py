@@ -295,6 +295,14 @@ def test_structure_decides_before_a_proof():
         of_kind(L, constraints, kind, constant, {m: 1})
 
 
+def test_derivatives_that_only_a_proof_finds_to_be_zero():
+    """sin(2 x) - 2 sin(x) cos(x) and its derivative, in the matrices of the steps."""
+    nothing = sin(2 * x) - 2 * sin(x) * cos(x)
+    derived = made(T, [z.d - y * x.d + nothing * y.d])._model.derived
+    assert [e.is_zero for e in derived.entries("constraint", "phi_v")] == [False, True, False]
+    assert [e.is_zero for e in derived.entries("constraint", "phi_q")] == [True, False, True]
+
+
 def test_what_turns_at_a_constant_rate():
     """Energies in axes that turn depend on time only where something else does."""
     late = Piecewise((x, 1 / dal.time > 2), (0, True))
