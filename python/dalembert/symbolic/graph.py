@@ -10,7 +10,7 @@ These are the rules by which formulas are rewritten, and all of them:
 - Numbers are rational, and folded exactly, unless the result is out of the range of doubles.
 - A number comes first in a product, and once: (2 x) (3 y) is 6 (x y); -(x - y) is y - x.
 - In a sum equal terms are collected, also those of sums in it that are not long; in a product
-  equal bases, with their exponents.
+  equal bases, with their exponents.  A difference in a sum is kept: x - y has digits that x lacks.
 - x + 0, 1 x, 0 x, x^1, x^0 and (x^a)^b are simplified as for numbers.
 - A function of numbers is a number where that is exact, as cos(0) and max(2, 3).
 - The arguments of a sum, a product, a maximum and a minimum are in the order of their creation.
@@ -479,9 +479,8 @@ def _terms(e: Node, factor: Number) -> list[tuple[Number, Node]]:
         factor, e = left.pop()
         inner, rest = _split(e)
         factor *= inner
-        if rest.op in ("+", "-"):
-            sign = 1 if rest.op == "+" else -1
-            left += [(sign * factor, rest.args[1]), (factor, rest.args[0])]
+        if rest.op == "+":
+            left += [(factor, a) for a in reversed(rest.args)]
         else:
             found.append((factor, rest))
         if len(found) + len(left) > _LONG:
