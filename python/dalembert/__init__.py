@@ -132,5 +132,5 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 def __getattr__(name: str) -> Any:
     """Return `time`, the symbol of the time in expressions, which needs SymPy."""
     if name == "time":
-        return symbolic.model.Time()
+        return symbolic.symbols.Time()
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

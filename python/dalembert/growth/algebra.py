@@ -19,7 +19,8 @@ import sympy
 
 from ..core import Array, Pair
 from ..core.extras import Show
-from ..symbolic.model import Model, with_default
+from ..symbolic.functions import with_default
+from ..symbolic.model import Model
 from ..symbolic.zeros import PIECES, is_zero
 from .search import Distribution, Word, brackets, explore, is_settled, search
 

@@ -8,6 +8,7 @@ from typing import Any
 from ..core.extras import Later
 
 codegen = Later(__name__, "codegen")
+constructor = Later(__name__, "constructor")
 evaluation = Later(__name__, "evaluation")
 event = Later(__name__, "event")
 expressions = Later(__name__, "expressions")
@@ -16,6 +17,7 @@ jumps = Later(__name__, "jumps")
 mechanisms = Later(__name__, "mechanisms")
 model = Later(__name__, "model")
 series = Later(__name__, "series")
+symbols = Later(__name__, "symbols")
 
 
 def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:

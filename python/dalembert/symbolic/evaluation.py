@@ -17,7 +17,8 @@ from ..compiler import Library
 from ..core import Array, DalembertWarning, arguments, functions
 from ..core.functions import Function
 from . import codegen
-from .model import Model, default_engine
+from .derivatives import default_engine
+from .model import Model
 
 _PACKAGE = __name__.partition(".")[0]
 
@@ -31,7 +32,10 @@ _WITHOUT_COMPILER = (
 def _generator() -> str:
     """Return a digest of all code that turns a model into C."""
     here = importlib.resources.files(__package__)
-    names = ("formula.py", "model.py", "zeros.py", "pattern.py", "codegen.py")
+    names = (
+        "formula.py", "symbols.py", "functions.py", "derivatives.py", "model.py", "zeros.py",
+        "pattern.py", "printing.py", "constructor.py", "codegen.py",
+    )  # fmt: skip
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 
 

@@ -12,8 +12,9 @@ from sympy.core.function import AppliedUndef
 from ..core import Handle, arguments, ffi, pointer
 from ..core.functions import Function
 from . import evaluation, given
-from . import model as models
-from .model import Coordinate, Model
+from .functions import in_doubles, with_default
+from .model import Model
+from .symbols import TIME, Coordinate, Velocity
 
 Expr = Any
 
@@ -53,8 +54,8 @@ def function(
     if library is not None:
         context = pointer(values) if values.size else ffi.NULL
         return library.definition.invariant, (context, values, library), None
-    written = [models.with_default(models.in_doubles(x, 17)) for x in found.invariants]
-    inner = sympy.lambdify([models.TIME, found.q, found.v, found.p], written, "math")
+    written = [with_default(in_doubles(x, 17)) for x in found.invariants]
+    inner = sympy.lambdify([TIME, found.q, found.v, found.p], written, "math")
     return ffi.NULL, None, lambda t, q, v: [float(x) for x in inner(t, q, v, values)]
 
 
@@ -138,7 +139,7 @@ def _own(expression: Expr, known: Mapping[str, Expr]) -> Expr:
             rule[sympy.Derivative(f, f.args[0])] = known[f"{f.func}.d"]
             rule[f] = known[str(f.func)]
     for s in expression.free_symbols:
-        if s.name in known and not isinstance(s, Coordinate | models.Velocity):
+        if s.name in known and not isinstance(s, Coordinate | Velocity):
             rule[s] = known[s.name]
     return expression.xreplace(rule)
 

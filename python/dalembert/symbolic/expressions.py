@@ -11,7 +11,8 @@ from sympy.core.function import AppliedUndef
 from ..core import Handle
 from . import given
 from .formula import read
-from .model import Model, Rule
+from .model import Model
+from .symbols import Rule
 
 Expr = Any
 

@@ -11,8 +11,11 @@ import sympy
 from sympy.core.function import AppliedUndef
 
 from ..core import arguments
-from . import model as models
-from .model import Coordinate, Model, Rule, Velocity, in_order
+from .functions import require_known
+from .model import Model
+from .symbols import (
+    TIME, Coordinate, Rule, Time, Velocity, canonical, in_order, make_coordinates,
+)  # fmt: skip
 from .zeros import PIECES, is_zero
 
 Expr = Any
@@ -31,7 +34,7 @@ def named(names: str | Sequence[str]) -> tuple[Any, ...]:
         arguments.text(word, "names")
     if not words or len(set(words)) != len(words):
         raise ValueError(f"names = {names!r}: expected at least one name, all different")
-    return models.make_coordinates(words)
+    return make_coordinates(words)
 
 
 # ---- what was given ----------------------------------------------------------------------------
@@ -130,7 +133,7 @@ def make_model(
     for e in start or ():
         if e.free_symbols - set(translate.rule.values()):
             raise ValueError(f"(q0, v0): {e}: expected numbers, or expressions of parameters")
-    timed = any(models.TIME in e.free_symbols for e in (lagrangian, *phi))
+    timed = any(TIME in e.free_symbols for e in (lagrangian, *phi))
     model = Model(
         coordinates=tuple(names),
         parameters=tuple(values),
@@ -176,9 +179,9 @@ def _require_derivatives(model: Model, values: list[float]) -> None:
     n, m, k, source = model.n, model.m, len(model.positions), np.random.default_rng(1)
     if k == 0:
         return
-    rates = [sympy.diff(e, models.TIME) for e in model.positions]
+    rates = [sympy.diff(e, TIME) for e in model.positions]
     slopes = [sympy.diff(e, x) for e in model.constraints for x in model.v]
-    state = [models.TIME, model.q, model.v, [*model.p, *model.u]]
+    state = [TIME, model.q, model.v, [*model.p, *model.u]]
     values = [*values, *source.uniform(0.2, 1.0, len(model.u))]
     at = sympy.lambdify(state, [*rates, *model.constraints, *slopes], "math", cse=True)
     for scale in (1.0, -1.0, 10.0, -10.0, 0.1):
@@ -219,15 +222,15 @@ class Translation:
         n = len(pairs)
         self.names, positions, velocities = map(list, zip(*pairs))
         self.values = values
-        self.q, self.v = models.canonical("q", n), models.canonical("v", n)
-        self.rule = dict(zip(values, models.canonical("p", len(values))))
+        self.q, self.v = canonical("q", n), canonical("v", n)
+        self.rule = dict(zip(values, canonical("p", len(values))))
         self.used: dict[str, set[Expr]] = {symbol.name: set() for symbol in symbols}
         self.positions, self.velocities = positions, velocities
-        self.inputs = dict(zip(inputs.values(), models.canonical("u", len(inputs))))
+        self.inputs = dict(zip(inputs.values(), canonical("u", len(inputs))))
         self.states = dict(zip([*positions, *velocities], [*self.q, *self.v]))
         times = [q.args[0] for q in positions if not q.is_Symbol]
-        self.clock: Rule = dict.fromkeys([models.Time(), *times[:1]], models.TIME)
-        self.any_clock: Rule = self.clock if times else {**self.clock, _PLAIN_TIME: models.TIME}
+        self.clock: Rule = dict.fromkeys([Time(), *times[:1]], TIME)
+        self.any_clock: Rule = self.clock if times else {**self.clock, _PLAIN_TIME: TIME}
         # symbols of the same name, of other calls of dalembert.coordinates
         called = Coordinate | Velocity
         self.same = {_kind_and_name(s): c for s, c in self.states.items() if isinstance(s, called)}
@@ -256,7 +259,7 @@ class Translation:
         if unknown:
             raise ValueError(f"{where}: {unknown.pop()} is not the velocity of a coordinate")
         # equal names, whatever the assumptions
-        own = Coordinate | Velocity | models.Time
+        own = Coordinate | Velocity | Time
         plain = {s: s.name for s in found.free_symbols if not isinstance(s, own)}
         matching = {s: self.rule[name] for s, name in plain.items() if name in self.rule}
         for symbol in matching:
@@ -271,13 +274,13 @@ class Translation:
         allowed = {*self.q, *self.v, *self.rule.values()}
         if clock:
             found = found.xreplace(clock)
-            allowed.add(models.TIME)
+            allowed.add(TIME)
         if with_inputs:
             allowed.update(self.inputs.values())
         names_of = {c: s for s, c in (self.states | matching).items()}
-        models.require_known(found, where, lambda e: e.xreplace(names_of))
+        require_known(found, where, lambda e: e.xreplace(names_of))
         left = found.free_symbols - allowed
-        if left & (self.any_clock.keys() | {models.TIME}):
+        if left & (self.any_clock.keys() | {TIME}):
             hint = "for the time, write dalembert.time" if clock else "it may not depend on time"
             raise ValueError(f"{where}: unknown symbol t; {hint}")
         self.require_none(sorted(map(str, left)), where)
@@ -341,9 +344,9 @@ _PLAIN_TIME = sympy.Symbol("t")
 
 def _without_time(e: Expr) -> Expr:
     """Return an expression at t = 0 if it is proved to be independent of time."""
-    if any(models.TIME in part.free_symbols for part in e.atoms(*PIECES)):
+    if any(TIME in part.free_symbols for part in e.atoms(*PIECES)):
         return e
-    still = e.xreplace({models.TIME: sympy.Integer(0)})
+    still = e.xreplace({TIME: sympy.Integer(0)})
     return still if still != e and is_zero(e - still) else e
 
 

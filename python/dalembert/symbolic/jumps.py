@@ -9,7 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import sympy
 from sympy.core.relational import Relational
 
-from .model import TIME, Expr, Model
+from .model import Model
+from .symbols import TIME, Expr
 
 NEAR = 1e-6  # relative to the terms of what changes its sign
 

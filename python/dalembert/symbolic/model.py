@@ -1,8 +1,6 @@
 """Models: a Lagrangian and constraints as SymPy expressions, and derived functions.
 
-All expressions use canonical symbols, ``q0 ... v0 ... p0 ... t``.  The user's names are never part
-of a generated program, and models that differ in names alone are compiled once.  Nothing is
-simplified and no matrix is inverted, because both can take minutes.
+Nothing is simplified and no matrix is inverted, because both can take minutes.
 """
 
 from __future__ import annotations
@@ -12,366 +10,17 @@ import dataclasses
 import functools
 import hashlib
 import itertools
-import math
-import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import sympy
-from sympy.core.function import AppliedUndef
-from sympy.logic.boolalg import Boolean
 
-try:
-    import symengine
-except ImportError:
-    symengine = None
-
-from . import formula
-from .zeros import PIECES, is_zero, of_sympy
-
-Expr = Any  # sympy has no types
-Rule = dict[Expr, Expr]
-
-
-# ---- symbols ---------------------------------------------------------------------------------
-
-
-class _Called(sympy.Symbol):
-    """A symbol with the names of the call of `dalembert.coordinates` that created it.
-
-    The names are part of the symbol.  So the order of coordinates follows from the expressions of a
-    system, independent of other calls.
-    """
-
-    __slots__ = ("call",)
-
-    def __new__(cls, name: str, call: tuple[str, ...] = ()) -> Any:
-        made = sympy.Symbol.__xnew__(cls, name, real=True)
-        made.call = call or (name,)
-        return made
-
-    def __getnewargs_ex__(self) -> tuple[Any, ...]:
-        return (self.name, self.call), {}
-
-    def _hashable_content(self) -> tuple[Any, ...]:
-        return (*super()._hashable_content(), self.call)
-
-
-class Velocity(_Called):
-    """The velocity ``x.d`` of a coordinate."""
-
-    __slots__ = ()
-
-    @property
-    def coordinate(self) -> Coordinate:
-        """The coordinate of this velocity."""
-        return Coordinate(self.name.removesuffix(".d"), self.call)
-
-    def _latex(self, printer: Any) -> str:
-        return rf"\dot{{{printer._print(sympy.Symbol(self.coordinate.name))}}}"
-
-
-class Coordinate(_Called):
-    """A coordinate: a SymPy symbol with its velocity `d`, from `dalembert.coordinates`."""
-
-    __slots__ = ()
-
-    @property
-    def d(self) -> Velocity:
-        """The velocity of the coordinate, a symbol too."""
-        return Velocity(f"{self.name}.d", self.call)
-
-    def diff(self, *symbols: Any, **assumptions: Any) -> Expr:
-        """Return a derivative; raise ValueError for the time derivative, for SymPy it is 0."""
-        if any(str(s) == "t" and not isinstance(s, Coordinate) for s in symbols):
-            raise ValueError(f"{self.name}.diff(t): write {self.name}.d for the velocity")
-        return super().diff(*symbols, **assumptions)
-
-
-# When a call of `dalembert.coordinates` with these names was made first, and when last.
-_made: dict[tuple[str, ...], tuple[int, int]] = {}
-_numbers = itertools.count()
-
-
-def make_coordinates(names: Sequence[str]) -> tuple[Coordinate, ...]:
-    """Return a coordinate for each name."""
-    call, now = tuple(names), next(_numbers)
-    _made[call] = _made.get(call, (now, now))[0], now
-    return tuple(Coordinate(name, call) for name in names)
-
-
-def in_order(found: Iterable[Coordinate]) -> list[Coordinate]:
-    """Return coordinates in the order of their names in calls, and of the calls.
-
-    Raises
-    ------
-    ValueError
-        If the calls contradict each other, or the order of their first and last execution differs.
-    """
-    by_name = {x.name: x for x in found}
-    calls = {x.call for x in found}
-    whole = [call for call in calls if by_name.keys() <= {*call}]
-    several = sorted(whole or calls, key=lambda call: _made.get(call, (-1, -1))[0])
-    order = list(dict.fromkeys(name for call in several for name in call if name in by_name))
-    last = [_made.get(call, (-1, -1))[1] for call in several]
-    if (not whole and (last != sorted(last) or -1 in last)) or any(
-        [name for name in order if name in call] != [name for name in call if name in by_name]
-        for call in calls
-    ):
-        shown = " and ".join(f"dalembert.coordinates({' '.join(c)!r})" for c in sorted(calls))
-        raise ValueError(
-            f"coordinates is missing: the order of {', '.join(sorted(order))} is ambiguous, "
-            f"because their symbols are of {shown}"
-        )
-    return [by_name[name] for name in order]
-
-
-@functools.cache
-def canonical(letter: str, count: int) -> tuple[Expr, ...]:
-    """Return the symbols letter0, letter1, ..."""
-    return tuple(sympy.Symbol(f"{letter}{i}", real=True) for i in range(count))
-
-
-TIME = sympy.Symbol("t", real=True)
-
-
-class Time(sympy.Symbol):
-    """The time in user's expressions, `dalembert.time`; no other symbol is equal to it."""
-
-    __slots__ = ()
-
-    def __new__(cls) -> Any:
-        return sympy.Symbol.__xnew__(cls, TIME.name, real=True)
-
-    def __getnewargs_ex__(self) -> tuple[Any, ...]:
-        return (), {}
-
-
-# ---- jumps -----------------------------------------------------------------------------------
-
-
-class _Jump(Exception):
-    """A derivative that needs a DiracDelta of args[1], by the symbol args[0]."""
-
-
-def _gradient(e: Expr, symbols: Collection[Expr]) -> Rule:
-    """Return the derivatives of an expression by those symbols that occur in it.
-
-    The results are those of ``sympy.diff``, which would traverse all terms of all sums for each
-    symbol.
-    """
-    if not e.is_Add and not e.is_Mul:
-        e = e.replace(_is_parametric, lambda power: _Power(*power.args))
-        found = {s: sympy.diff(e, s) for s in e.free_symbols if s in symbols}
-        return {s: slope.replace(_Power, sympy.Pow) for s, slope in found.items()}
-    slopes: dict[Expr, list[Expr]] = {}
-    for i, part in enumerate(e.args):
-        for s, slope in _gradient(part, symbols).items():
-            slopes.setdefault(s, []).append(
-                slope if e.is_Add else sympy.Mul(*e.args[:i], slope, *e.args[i + 1 :])
-            )
-    return {s: sympy.Add(*found) for s, found in slopes.items()}
-
-
-class _Power(sympy.Function):
-    """x^n with a parameter n; SymPy's derivative n x^n / x is 0/0 at x = 0."""
-
-    def fdiff(self, argindex: int = 1) -> Expr:
-        x, n = self.args
-        return sympy.Piecewise((0, sympy.Eq(n, 0)), (n * _Power(x, n - 1), True))
-
-
-def _is_parametric(e: Expr) -> bool:
-    """Return whether an expression is a power whose exponent is constant but not rational."""
-    return bool(e.is_Pow and not e.exp.is_Rational and not e.base.is_number and _is_constant(e.exp))
-
-
-def _as_function(found: Expr, symbol: Expr, almost: bool) -> Expr:
-    """Return a derivative by a symbol as a function.
-
-    A DiracDelta is dropped if its factor vanishes with its argument, as in the derivative of x^2
-    sign(x).  If `almost`, it is always dropped, for a derivative that may be wrong at jumps.
-    """
-    for delta in found.atoms(sympy.DiracDelta):
-        mark = sympy.Dummy(real=True)
-        marked = found.xreplace({delta: mark})
-        if not almost and not _is_without_jump(marked.diff(mark), delta.args[0], symbol):
-            raise _Jump(symbol, delta.args[0])
-        found = marked.xreplace({mark: sympy.Integer(0)})
-    return found.replace(_is_inverse, _bounded) if almost else found
-
-
-def _is_inverse(e: Expr) -> bool:
-    """Return whether a power may be infinite on one side of a wall, as 1/sqrt(Max(0, x))."""
-    return e.is_Pow and not e.exp.is_nonnegative and e.base.has(sympy.Max, sympy.Min, sympy.Abs)
-
-
-def _bounded(e: Expr) -> Expr:
-    """Return a power that is 1 if its base is 0, so that a step function as factor makes it 0."""
-    return sympy.Piecewise((e.base, sympy.Ne(e.base, 0)), (1, True)) ** e.exp
-
-
-def _is_without_jump(factor: Expr, argument: Expr, symbol: Expr) -> bool:
-    """Return whether a factor is proved to vanish with the argument of its DiracDelta.
-
-    The jump is the factor divided by the slope of the argument: sign(x^3) jumps although 3 x^2
-    vanishes.
-    """
-    if _vanishes_with(factor, argument):
-        return True
-    slope = argument.diff(symbol)
-    terms = map(sympy.factor_terms, sympy.Add.make_args(factor))
-    height = sympy.Add(*(term / sympy.factor_terms(slope) for term in terms))
-    return all(_vanishes_with(height, part) for part in _zero_with(argument))
-
-
-_Step = sympy.Function("_Step")
-
-
-def _vanishes_with(factor: Expr, argument: Expr) -> bool:
-    """Return whether a factor is proved to vanish with an argument.
-
-    A step function may have any value at its jump: sign(x)^3 is 0 at 0 and yet jumps.
-    """
-    factor = factor.replace(sympy.sign, lambda u: 2 * _Step(u) - 1)
-    factor = factor.replace(sympy.Heaviside, lambda u, _: _Step(u))
-    places = [factor.subs(argument, 0).subs(-argument, 0)]
-    for s in argument.free_symbols:
-        slope = argument.diff(s)
-        if slope != 0 and _is_constant(slope):
-            places.append(factor.xreplace({s: sympy.expand(s - argument / slope)}))
-    return any(
-        is_zero(e.replace(_Step, lambda u: sympy.Heaviside(u) if u.is_nonzero else _Step(u)))
-        for e in places
-    )
-
-
-def _zero_with(e: Expr) -> list[Expr]:
-    """Return expressions such that one of them is 0 wherever e is 0."""
-    if e.is_Mul:
-        return [part for factor in e.args for part in _zero_with(factor)]
-    if e.is_Pow and e.exp.is_positive:
-        return _zero_with(e.base)
-    if isinstance(e, _ONE_ZERO):
-        return _zero_with(e.args[0])
-    return [] if e.is_nonzero or _is_constant(e) else [e]
-
-
-# Real functions that are 0 at 0 alone.
-_ONE_ZERO = of_sympy("Abs sinh tanh asinh asin atan erf")
-
-
-def _is_constant(e: Expr) -> bool:
-    """Return whether an expression has no symbols except parameters, and so counts as nonzero."""
-    return all(s.name[0] == "p" for s in e.free_symbols)
-
-
-@contextlib.contextmanager
-def _naming(model: Model, where: str) -> Iterator[None]:
-    """Add the user's names to errors about jumps."""
-    try:
-        yield
-    except _Jump as jump:
-        x, argument = map(model.shown, jump.args)
-        raise ValueError(
-            f"{where}: its derivative by {x} needs DiracDelta({argument}), because it jumps "
-            f"where {argument} = 0. Write a Piecewise, whose jumps exert no force, or a "
-            "smooth step of width w, such as (1 + tanh(x/w))/2 for Heaviside(x)"
-        ) from None
-
-
-# ---- two ways to differentiate ---------------------------------------------------------------
-
-
-# What SymEngine differentiates as SymPy does; for the rest it lacks assumptions or rules.
-_SMOOTH = of_sympy(
-    "Add Mul Pow Symbol Number NumberSymbol exp log sin cos tan asin acos atan sinh cosh tanh"
-)
-
-
-class _SymPy:
-    """Derivatives, by the symbols that occur, and common subexpressions, with SymPy."""
-
-    name = f"sympy {sympy.__version__}"
-
-    @staticmethod
-    def take(expression: Expr) -> Expr:
-        return expression
-
-    give = take
-
-    @staticmethod
-    def gradient(expression: Expr, symbols: Sequence[Expr], almost: bool = False) -> Rule:
-        slopes = _gradient(expression, {*symbols})
-        return {x: _as_function(slopes[x], x, almost) for x in symbols if x in slopes}
-
-    @staticmethod
-    def cse(expressions: list[Expr]) -> tuple[list[tuple[Expr, Expr]], list[Expr]]:
-        found, reduced = sympy.cse(
-            expressions, sympy.numbered_symbols("x"), order="none", list=False
-        )
-        conditions: Rule = {}  # what is no number stays where it is
-        temporaries = []
-        for symbol, e in found:
-            e = e.xreplace(conditions)
-            if isinstance(e, Boolean) and not e.is_Symbol:
-                conditions[symbol] = e
-            else:
-                temporaries.append((symbol, e))
-        return temporaries, [e.xreplace(conditions) for e in reduced]
-
-
-class _SymEngine:
-    """The same with SymEngine, 60 to 80 times faster."""
-
-    name = f"symengine {getattr(symengine, '__version__', '')}"
-
-    @staticmethod
-    def take(expression: Expr) -> Expr:
-        return symengine.sympify(expression)
-
-    @staticmethod
-    def gradient(expression: Expr, symbols: Sequence[Expr], almost: bool = False) -> Rule:
-        occurring = expression.free_symbols  # and what is smooth has no jumps
-        return {x: symengine.diff(expression, x) for x in symbols if x in occurring}
-
-    @staticmethod
-    def cse(expressions: list[Expr]) -> tuple[list[tuple[Expr, Expr]], list[Expr]]:
-        return symengine.cse(expressions)
-
-    @staticmethod
-    def give(expression: Expr) -> Expr:
-        found = sympy.sympify(expression)
-        # SymEngine's symbols have no assumptions; only those of the model have any.
-        return found.xreplace({s: sympy.Symbol(s.name, real=True) for s in found.free_symbols})
-
-
-def engine_for(expressions: Iterable[Expr]) -> Any:
-    """Return the fastest installed engine that supports the expressions."""
-    return _SymEngine if symengine is not None and _are_smooth(expressions) else _SymPy
-
-
-def _are_smooth(expressions: Iterable[Expr]) -> bool:
-    """Return whether all functions in the expressions are smooth."""
-    seen: set[Expr] = set()
-    left = list(expressions)
-    while left:
-        e = left.pop()
-        if e not in seen:
-            if not isinstance(e, _SMOOTH) or _is_parametric(e):
-                return False
-            seen.add(e)
-            left += e.args
-    return True
-
-
-def default_engine() -> str:
-    """Return the name and version of the engine for smooth models."""
-    return _SymPy.name if symengine is None else _SymEngine.name
-
-
-# ---- the model -------------------------------------------------------------------------------
+from . import latex
+from .derivatives import Jump, SymPy, engine_for
+from .functions import in_doubles, with_default
+from .symbols import TIME, Coordinate, Expr, Rule, canonical
+from .zeros import PIECES, is_zero
 
 
 def _of_each(f: Callable[[Expr], Expr], entries: Iterable[Expr]) -> list[Expr]:
@@ -619,7 +268,7 @@ class Model:
 
     def latex(self) -> str:
         """Return L, mu and the ODE on D as LaTeX, in an aligned environment."""
-        return _latex(self)
+        return latex.latex(self)
 
 
 def _structure(e: Expr) -> str:
@@ -630,6 +279,20 @@ def _structure(e: Expr) -> str:
     if not e.args:
         return str(sympy.srepr(e))
     return f"{type(e).__name__}({', '.join(map(_structure, e.args))})"
+
+
+@contextlib.contextmanager
+def _naming(model: Model, where: str) -> Iterator[None]:
+    """Add the user's names to errors about jumps."""
+    try:
+        yield
+    except Jump as jump:
+        x, argument = map(model.shown, jump.args)
+        raise ValueError(
+            f"{where}: its derivative by {x} needs DiracDelta({argument}), because it jumps "
+            f"where {argument} = 0. Write a Piecewise, whose jumps exert no force, or a "
+            "smooth step of width w, such as (1 + tanh(x/w))/2 for Heaviside(x)"
+        ) from None
 
 
 def _derive(model: Model) -> Derived:
@@ -665,7 +328,7 @@ def _derive(model: Model) -> Derived:
         ("invariant", "values", model.invariants),
     ):
         if expressions:
-            functions.append(Function(name, {output: expressions}, _SymPy))
+            functions.append(Function(name, {output: expressions}, SymPy))
     # by what is in it: the derivative of a dry friction, sign(v), is 0 too
     positional = model.force is not None and not any(
         e.free_symbols & {*model.v} for e in model.force
@@ -801,7 +464,7 @@ def _energy(
         if model.is_time_dependent:
             outputs["L_vt"] = _slopes(engine, L_v, [TIME])
         return None, [Function("lagrangian", outputs, engine)]
-    functions = [Function("mass", {"M": mass}, _SymPy)]
+    functions = [Function("mass", {"M": mass}, SymPy)]
     if not is_zero(potential):
         V = [engine.take(potential)]
         V_q = _slopes(engine, V, q)
@@ -827,34 +490,6 @@ def _exact(e: Expr) -> Expr:
     return e
 
 
-def in_doubles(e: Expr, digits: int = 15) -> Expr:
-    """Return an expression whose long numbers are replaced by doubles of so many digits."""
-    return e.xreplace({
-        x: sympy.Float(nearest(x), digits) for x in e.atoms(sympy.Rational, sympy.Float)
-        if x.is_Float or max(abs(x.p), x.q) >= 2**53
-    })  # fmt: skip
-
-
-def nearest(x: Expr, where: str = "") -> float:
-    """Return the double nearest to a number; raise ValueError if it is out of range."""
-    try:
-        found = x.p / x.q if x.is_Rational else float(x)
-    except OverflowError:
-        found = math.inf
-    if math.isinf(found) or (x != 0 and abs(found) < sys.float_info.min):
-        size = "large" if math.isinf(found) else "small"
-        raise ValueError(f"{where}{': ' * bool(where)}{sympy.N(x, 5)} is too {size} for a double")
-    return found
-
-
-def with_default(e: Expr) -> Expr:
-    """Return an expression for `lambdify`: a Piecewise without a default becomes NaN there."""
-    return e.replace(
-        lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != sympy.true,
-        lambda part: part.func(*part.args, (sympy.nan, True)),
-    )
-
-
 def _symmetric(
     engine: Any, gradient: Sequence[Expr], x: Sequence[Expr], almost: bool = False
 ) -> list[Expr]:
@@ -868,7 +503,7 @@ def _symmetric(
 
 def _without(engine: Any, expressions: Iterable[Expr], values: Rule) -> list[Expr]:
     """Return expressions with some symbols replaced by numbers."""
-    if engine is _SymPy:
+    if engine is SymPy:
         return _of_each(lambda e: e.xreplace(values), expressions)
     taken = {engine.take(s): engine.take(x) for s, x in values.items()}
     return _of_each(lambda e: engine.take(e).subs(taken), expressions)
@@ -936,112 +571,3 @@ def _kind(
         return "nonlinear", phi_v
     phi_v = _without(engine, phi_v, rest)
     return "linear" if all(map(is_zero, shift)) else "affine", phi_v
-
-
-# ---- LaTeX -----------------------------------------------------------------------------------
-
-
-def _latex_symbol(name: str) -> str:
-    """Return a name as LaTeX; an unusual one letter by letter, so that it cannot be a command."""
-    if name.replace("_", "").isalnum() and name.isascii():
-        return str(sympy.latex(sympy.Symbol(name)))
-    safe = "".join(c if c.isalnum() else " " for c in name)
-    return rf"\mathtt{{{safe}}}"
-
-
-def _latex(model: Model) -> str:
-    letters = (*model.parameters, *model.inputs)
-    names: dict[Expr, str] = dict(zip((*model.p, *model.u), map(_latex_symbol, letters)))
-    for q, v, name in zip(model.q, model.v, model.coordinates):
-        names |= {q: _latex_symbol(name), v: rf"\dot{{{_latex_symbol(name)}}}"}
-
-    def tex(expression: Expr) -> str:
-        return str(sympy.latex(expression, symbol_names=names))
-
-    derived, n, m = model.derived, model.n, model.m
-    form = r"\mu" if derived.kind == "linear" else r"\varphi_v"
-    lines = [f"L &= {tex(model.L)}"]
-    if m > 0 and derived.kind == "linear":
-        mu = _matrix(model, "constraint", "phi_v", m)
-        lines.append(rf"\mu &= {tex(mu)}, \quad \mu \dot q = 0")
-    elif m > 0:
-        lines.append(rf"\varphi &= {tex(_matrix(model, 'constraint', 'phi', m))} = 0")
-    if derived.mass is not None:
-        mass, pull = "M", "-V_q" * (derived.function("potential") is not None)
-        lines.append(rf"M &= {tex(_matrix(model, 'mass', 'M', n))}")
-        if pull:
-            lines.append(rf"V_q &= {tex(_matrix(model, 'potential', 'V_q', n))}")
-    else:
-        mass, pull = "L_{vv}", r"L_q - L_{vq} \dot q"
-        L_q, L_vq, L_vv = (_matrix(model, "lagrangian", x, n) for x in ("L_q", "L_vq", "L_vv"))
-        lines.append(rf"L_{{vv}} &= {tex(L_vv)}")
-        pulled = L_q - L_vq * sympy.Matrix(model.v)
-        if model.is_time_dependent:
-            pull += r" - L_{vt}"
-            pulled -= _matrix(model, "lagrangian", "L_vt", n)
-        lines.append(rf"{pull} &= {tex(pulled)}")
-    if model.force is not None:
-        pull = f"{pull} + f".removeprefix(" + ")
-        lines.append(rf"f &= {tex(sympy.Matrix(n, 1, list(model.force)))}")
-    react = rf" + {form}^T \lambda" if m > 0 else ""
-    lines.append(rf"{mass} \ddot q &= {f'{pull}{react}'.removeprefix(' + ') or '0'}")
-    if m > 0:
-        inverse, turn = f"{mass}^{{-1}}", r"\varphi_q \dot q"
-        turned = _matrix(model, "constraint", "phi_q", m) * sympy.Matrix(model.v)
-        if model.is_time_dependent:
-            turn += r" + \varphi_t"
-            turned += _matrix(model, "constraint", "phi_t", m)
-        pulled = rf" + {form} {inverse} ({pull})" if pull else ""
-        lines.append(rf"\lambda &= -({form} {inverse} {form}^T)^{{-1}} \left({turn}{pulled}\right)")
-        lines.append(rf"{turn} &= {tex(turned)}")
-    return r"\begin{aligned}" + r" \\ ".join(lines) + r"\end{aligned}"
-
-
-def _matrix(model: Model, name: str, output: str, rows: int) -> Expr:
-    """Return an output of a function as a matrix of so many rows."""
-    entries = [*map(in_doubles, model.derived.expressions(name, output))]
-    return sympy.Matrix(rows, len(entries) // rows, entries)
-
-
-# ---- what may occur in a model ---------------------------------------------------------------
-
-
-# Functions that both C and the math module have, or that are printed by their definition.
-FUNCTIONS = {getattr(sympy, x): x for x in formula.FUNCTIONS if x not in ("Abs", "sqrt")}
-FUNCTIONS[sympy.Abs] = "fabs"
-
-_STRUCTURE = (
-    *of_sympy(
-        "Add Mul Pow Symbol Rational Float NumberSymbol sec csc cot sign Heaviside Max Min "
-        "Piecewise Rel And Or Not"
-    ),
-    sympy.functions.elementary.piecewise.ExprCondPair,
-    sympy.logic.boolalg.BooleanAtom,
-)
-
-
-def require_known(
-    expression: Expr, where: str, shown: Callable[[Expr], Expr] = lambda e: e
-) -> None:
-    """Raise ValueError if an expression has a part that cannot be compiled."""
-    for e in sympy.preorder_traversal(expression):
-        if isinstance(e, (*_STRUCTURE, *FUNCTIONS)):
-            if isinstance(e, sympy.Float | sympy.Rational):
-                nearest(e, where)
-            continue
-        if isinstance(e, AppliedUndef):
-            hint = "write its formula instead"
-            if [str(x) for x in e.args] == [TIME.name]:
-                hint = (
-                    "list a coordinate in coordinates=, and an input of a force or a "
-                    "constraint in inputs=. Replace a generalized speed by velocities, with "
-                    f"its kinematic differential equation, for example by .subs({shown(e)}, "
-                    "...)"
-                )
-            raise ValueError(f"{where}: {shown(e)} is an unknown function; {hint}")
-        names = {f.__name__ for f in (*FUNCTIONS, *_STRUCTURE) if issubclass(f, sympy.Function)}
-        raise ValueError(
-            f"{where}: {shown(e)} ({type(e).__name__}) cannot be compiled; expected "
-            "expressions of "
-            f"{', '.join(sorted({*names, 'sqrt', 'Max', 'Min', 'And', 'Or', 'Not'}))}"
-        )

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..core import arguments, extras
-from ..symbolic import formula, model
+from ..symbolic import formula, symbols
 from ..system import System
 
 __all__ = [
@@ -76,7 +76,7 @@ def _system(
             sympy = extras.require("sympy", f"the system {name}")
             assumed = dict.fromkeys(positive.split(), True)
             known = {x: sympy.Symbol(x, positive=assumed.get(x)) for x in numbers}
-            q = [model.Coordinate(x, call) for x in call]
+            q = [symbols.Coordinate(x, call) for x in call]
             known |= {"pi": sympy.pi, **{x.name: x for x in q}, **{f"v_{x}": x.d for x in q}}
 
             def read(text: str) -> Any:

@@ -17,7 +17,7 @@ import dalembert as dal
 from dalembert import growth, pages
 from dalembert.core import extras
 import dalembert.symbolic.expressions as expressions
-import dalembert.symbolic.model as model
+import dalembert.symbolic.functions as allowed
 import dalembert.symbolic.given as symbolic
 from dalembert.growth import algebra, functions
 
@@ -57,7 +57,7 @@ def trailers(count):
 
 
 SMOOTH = [
-    *(f(y) for f in model.FUNCTIONS if f not in (sympy.acosh, sympy.atan2)),
+    *(f(y) for f in allowed.FUNCTIONS if f not in (sympy.acosh, sympy.atan2)),
     sympy.acosh(2 + y), sympy.atan2(y, 1 - y), sympy.sec(y), sympy.csc(y), sympy.cot(y), y**5,
     y**-3, sqrt(y), y ** sympy.Rational(-7, 3), y**sympy.pi, (1 + y) ** y, 3**y, y**1.5,
     Piecewise((y**2, y > 1), (cos(y), True)), Piecewise((y, y > 0)), Max(y, y**2), Min(y**2, 1 - y),

@@ -24,8 +24,11 @@ from sympy.physics.mechanics import dynamicsymbols
 import dalembert as dal
 from dalembert import compiler, core
 import dalembert.symbolic.codegen as codegen
+import dalembert.symbolic.constructor as constructor
 import dalembert.symbolic.given as symbolic
+import dalembert.symbolic.derivatives as engines
 import dalembert.symbolic.model as model
+import dalembert.symbolic.symbols as symbols_of
 from dalembert.symbolic.evaluation import library
 
 VECTORS = json.loads((Path(__file__).parents[2] / "data" / "vectors.json").read_text("ascii"))
@@ -198,7 +201,7 @@ def test_callbacks_to_25_digits(name):
     t = float(source.uniform(0.2, 1.1))
     values = dict(zip(found.q, map(mpmath.mpf, q))) | dict(zip(found.v, map(mpmath.mpf, v)))
     values |= dict(zip(found.p, map(mpmath.mpf, system.parameters.values())))
-    values[model.TIME] = mpmath.mpf(t)
+    values[symbols_of.TIME] = mpmath.mpf(t)
     for callback, outputs in expressions.items():
         if found.derived.function(callback) is None:
             continue
@@ -222,14 +225,14 @@ def test_callbacks_to_25_digits(name):
 @pytest.mark.parametrize("name", ["generic4", "genmass", "trailer3", "rich"])
 def test_sympy_and_symengine_give_the_same(name, monkeypatch):
     """Both ways of differentiating, within 64 u of the largest entry and of 1."""
-    assert model.symengine is not None, "the tests need SymEngine, see ./dev"
+    assert engines.symengine is not None, "the tests need SymEngine, see ./dev"
     fast = MAKERS[name]()
     assert fast._model.derived
-    monkeypatch.setattr(model, "symengine", None)
+    monkeypatch.setattr(engines, "symengine", None)
     slow = MAKERS[name]()
-    assert slow._model.derived.function("constraint").engine is model._SymPy
+    assert slow._model.derived.function("constraint").engine is engines.SymPy
     assert name == "rich" or (
-        fast._model.derived.function("constraint").engine is model._SymEngine
+        fast._model.derived.function("constraint").engine is engines.SymEngine
     )
     source = np.random.default_rng(6)
     for callback in ("potential", "lagrangian", "constraint", "force"):
@@ -263,18 +266,18 @@ def random_expression(source, symbols, depth):
 @pytest.mark.parametrize("seed", range(24))
 def test_derivatives_are_those_by_each_symbol(seed):
     """Those by the symbols that occur are the same expressions; all others are 0."""
-    source, symbols = random.Random(seed), model.canonical("q", 6)
+    source, symbols = random.Random(seed), symbols_of.canonical("q", 6)
     e = model._exact(random_expression(source, symbols, 3))
     for x in symbols:
-        assert model._gradient(e, symbols).get(x, 0) == sympy.diff(e, x)
+        assert engines._gradient(e, symbols).get(x, 0) == sympy.diff(e, x)
     some = symbols[::2]
-    assert model._gradient(e, some).keys() <= {*some}
-    engine = model.engine_for([e])
+    assert engines._gradient(e, some).keys() <= {*some}
+    engine = engines.engine_for([e])
     taken = [*map(engine.take, symbols)]
-    if engine is model._SymEngine:
+    if engine is engines.SymEngine:
         found = engine.gradient(engine.take(e), taken)
         for x in taken:
-            assert found.get(x, 0) == model.symengine.diff(engine.take(e), x)
+            assert found.get(x, 0) == engines.symengine.diff(engine.take(e), x)
 
 
 @pytest.mark.parametrize("engine", ["sympy", "symengine"])
@@ -283,11 +286,11 @@ def test_work_grows_with_what_is_there(engine, monkeypatch):
 
     Their matrices grow fourfold.
     """
-    package = getattr(model, engine)
+    package = getattr(engines, engine)
     taken, diff = [], package.diff
     monkeypatch.setattr(package, "diff", lambda *given: taken.append(given) or diff(*given))
     if engine == "sympy":
-        monkeypatch.setattr(model, "symengine", None)
+        monkeypatch.setattr(engines, "symengine", None)
     work = []
     for count in (6, 12):
         taken.clear()
@@ -966,8 +969,8 @@ def test_pickle_and_threads():
 
 def test_reserved_names_of_c():
     for name, expected in (("a-b", "a_b"), ("2d", "model_2d"), ("größe", "gr__e")):
-        assert codegen.c_identifier(None, name) == expected
-    assert re.fullmatch(r"\w+", codegen.c_identifier("own", "x"))
+        assert constructor.c_identifier(None, name) == expected
+    assert re.fullmatch(r"\w+", constructor.c_identifier("own", "x"))
 
 
 # ---- the compiled ODE on D ---------------------------------------------------------------------

@@ -21,7 +21,7 @@ from sympy.parsing.sympy_parser import (
 )  # fmt: skip
 
 import dalembert as dal
-import dalembert.symbolic.codegen as codegen
+import dalembert.symbolic.printing as printing
 import dalembert.symbolic.given as symbolic
 from dalembert.symbolic.pattern import pattern
 from dalembert.symbolic.zeros import is_zero
@@ -343,7 +343,7 @@ def test_numbers_that_are_no_quotient_of_doubles():
     found = system.acceleration([1, 1, 1], [0, 0, 0])
     np.testing.assert_allclose(found, expected * (np.sin(expected) - 1), rtol=8 * U)
     for ratio, value in zip(ratios, expected):
-        assert float(codegen.Printer(set())(ratio).strip("()")) == value
+        assert float(printing.Printer(set())(ratio).strip("()")) == value
 
 
 def test_jumps_of_derivatives():
