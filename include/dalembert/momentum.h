@@ -320,6 +320,7 @@ DAL_KERNEL_INLINE dal_flag DAL_KERNEL_PART(build_K)(const dal_kernel_of *k,
                                                     const dal_balance_of *balance)
 {
     DAL_KERNEL_SIZES;
+    (void)k;
     dal_real *const factors = balance->factors, *const theta = balance->theta;
     dal_real *const K = balance->K, *const terms = work->step;
     const dal_real b = mom->b;

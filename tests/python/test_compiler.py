@@ -352,7 +352,7 @@ def test_hostile_names(cache, tmp_path):
 
 def test_texts_in_c_are_what_they_were(tmp_path):
     for text in (*HOSTILE, "", "a" * 5000, "\t\a\x01", "0\0017"):
-        constant = codegen.c_string(text)
+        constant = constructor.c_string(text)
         assert constant.isascii() and constant.isprintable()
         inside = constant[1:-1].encode()
         back = re.sub(rb"\\([0-7]{3})", lambda m: bytes([int(m[1], 8)]), inside)
@@ -690,14 +690,15 @@ def test_c_header_in_cpp(cache, tmp_path):
 
 def test_names_of_parameters_in_c(tmp_path):
     """Macros of the headers and words of both languages get an underscore."""
-    found = codegen.parameter_names(["m", "a b", "p1", "2nd", "new", "I", "system", "a__b", "R_1"])
+    names = ["m", "a b", "p1", "2nd", "new", "I", "system", "a__b", "R_1"]
+    found = constructor.parameter_names(names)
     assert found == ["m", "p1", "p1_", "p3", "new_", "I_", "system_", "p7", "R_1"]
     text = "#include <dalembert.h>\n#include <stdio.h>\n#include <math.h>\n#include <complex.h>\n"
     (tmp_path / "all.c").write_text(text)
     defined = compile_c(tmp_path, "-D_GNU_SOURCE", "-dM", "-E", "all.c")
     macros = re.findall(r"#define ([A-Za-z]\w*) ", defined)
     assert {"NAN", "M_PI", "I"} <= {*macros}
-    names = [f"double {name}" for name in codegen.parameter_names(macros)]
+    names = [f"double {name}" for name in constructor.parameter_names(macros)]
     (tmp_path / "all.c").write_text(f"{text}void all({', '.join(names)});\n")
     compile_c(tmp_path, "-D_GNU_SOURCE", "-fsyntax-only", *WARNINGS, "all.c")
 

@@ -8,6 +8,7 @@ from typing import Any
 from ..core.extras import Later
 
 codegen = Later(__name__, "codegen")
+constructor = Later(__name__, "constructor")
 evaluation = Later(__name__, "evaluation")
 event = Later(__name__, "event")
 expressions = Later(__name__, "expressions")

@@ -155,7 +155,7 @@ def program(
     if name is None:
         _for_the_package(made, model, definition)
     else:
-        _constructor(made, model, definition, name, system, compact)
+        constructor(made, model, definition, name, system, compact)
     return made
 
 

@@ -670,14 +670,14 @@ class System(Handle):
         ['int own_system(dal_system **system, double g, dal_error *error);']
         """
         _, identifier = self._named_for_c(name)
-        text: str = symbolic.codegen.header(identifier, self)
+        text: str = symbolic.constructor.header(identifier, self)
         return text
 
     def _named_for_c(self, name: str | None) -> tuple[Any, str]:
         """Return the model and its name in C."""
         if self._model is None:
             raise ValueError(f"the system {self.name!r} was not made by from_sympy")
-        return self._model, symbolic.codegen.c_identifier(name, self.name)
+        return self._model, symbolic.constructor.c_identifier(name, self.name)
 
     def _repr_latex_(self) -> str | None:
         """Return L, mu and the equations of motion for a notebook, None without expressions."""

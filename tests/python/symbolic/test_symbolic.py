@@ -24,6 +24,7 @@ from sympy.physics.mechanics import dynamicsymbols
 import dalembert as dal
 from dalembert import compiler, core
 import dalembert.symbolic.codegen as codegen
+import dalembert.symbolic.constructor as constructor
 import dalembert.symbolic.given as symbolic
 import dalembert.symbolic.symbols as model
 from dalembert.symbolic.evaluation import library
@@ -201,7 +202,7 @@ def test_callbacks_to_25_digits(name):
     t = float(source.uniform(0.2, 1.1))
     values = dict(zip(found.q, map(mpmath.mpf, q))) | dict(zip(found.v, map(mpmath.mpf, v)))
     values |= dict(zip(found.p, map(mpmath.mpf, system.parameters.values())))
-    values[model.TIME] = mpmath.mpf(t)
+    values[symbols_of.TIME] = mpmath.mpf(t)
     for callback, outputs in expressions.items():
         if found.derived.function(callback) is None:
             continue
@@ -952,8 +953,8 @@ def test_pickle_and_threads():
 
 def test_reserved_names_of_c():
     for name, expected in (("a-b", "a_b"), ("2d", "model_2d"), ("größe", "gr__e")):
-        assert codegen.c_identifier(None, name) == expected
-    assert re.fullmatch(r"\w+", codegen.c_identifier("own", "x"))
+        assert constructor.c_identifier(None, name) == expected
+    assert re.fullmatch(r"\w+", constructor.c_identifier("own", "x"))
 
 
 # ---- the compiled ODE on D ---------------------------------------------------------------------
