@@ -33,8 +33,9 @@ def _generator() -> str:
     """Return a digest of all code that turns a model into C."""
     here = importlib.resources.files(__package__)
     names = (
-        "formula.py", "symbols.py", "graph.py", "reading.py", "printing.py", "walls.py",
-        "values.py", "derive.py", "model.py", "zeros.py", "pattern.py", "codegen.py",
+        "formula.py", "symbols.py", "graph.py", "reading.py", "functions.py", "printing.py",
+        "walls.py", "values.py", "derive.py", "model.py", "zeros.py", "pattern.py",
+        "constructor.py", "codegen.py",
     )  # fmt: skip
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 

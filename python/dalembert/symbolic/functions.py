@@ -1,4 +1,4 @@
-"""The functions and numbers that a model may contain, and numbers as doubles."""
+"""The functions and numbers that a model may contain."""
 
 from __future__ import annotations
 
@@ -9,18 +9,14 @@ from collections.abc import Callable
 import sympy
 from sympy.core.function import AppliedUndef
 
-from . import formula
+from .reading import FUNCTIONS
 from .symbols import TIME, Expr
 from .zeros import of_sympy
 
-# Functions that both C and the math module have, or that are printed by their definition.
-FUNCTIONS = {getattr(sympy, x): x for x in formula.FUNCTIONS if x not in ("Abs", "sqrt")}
-FUNCTIONS[sympy.Abs] = "fabs"
-
 _STRUCTURE = (
     *of_sympy(
-        "Add Mul Pow Symbol Rational Float NumberSymbol sec csc cot sign Heaviside Max Min "
-        "Piecewise Rel And Or Not"
+        "Add Mul Pow Symbol Rational Float NumberSymbol sec csc cot Max Min Piecewise Rel And Or "
+        "Not ITE"
     ),
     sympy.functions.elementary.piecewise.ExprCondPair,
     sympy.logic.boolalg.BooleanAtom,
@@ -54,14 +50,6 @@ def require_known(
         )
 
 
-def in_doubles(e: Expr, digits: int = 15) -> Expr:
-    """Return an expression whose long numbers are replaced by doubles of so many digits."""
-    return e.xreplace({
-        x: sympy.Float(nearest(x), digits) for x in e.atoms(sympy.Rational, sympy.Float)
-        if x.is_Float or max(abs(x.p), x.q) >= 2**53
-    })  # fmt: skip
-
-
 def nearest(x: Expr, where: str = "") -> float:
     """Return the double nearest to a number; raise ValueError if it is out of range."""
     try:
@@ -72,11 +60,3 @@ def nearest(x: Expr, where: str = "") -> float:
         size = "large" if math.isinf(found) else "small"
         raise ValueError(f"{where}{': ' * bool(where)}{sympy.N(x, 5)} is too {size} for a double")
     return found
-
-
-def with_default(e: Expr) -> Expr:
-    """Return an expression for `lambdify`: a Piecewise without a default becomes NaN there."""
-    return e.replace(
-        lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != sympy.true,
-        lambda part: part.func(*part.args, (sympy.nan, True)),
-    )

@@ -11,7 +11,8 @@ import sympy
 from sympy.core.function import AppliedUndef
 
 from ..core import arguments
-from .model import Model, require_known
+from .functions import require_known
+from .model import Model
 from .printing import function
 from .symbols import TIME, Coordinate, Rule, Time, Velocity, canonical, in_order, make_coordinates
 from .zeros import PIECES, is_zero

@@ -5,21 +5,16 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import math
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import sympy
-from sympy.core.function import AppliedUndef
 
 from . import latex
 from .derive import Derived, derive
 from .printing import as_function, function
-from .reading import FUNCTIONS
 from .symbols import TIME, Coordinate, Expr, Rule, canonical
-from .zeros import of_sympy
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,55 +205,3 @@ def _structure(e: Expr) -> str:
     if not e.args:
         return str(sympy.srepr(e))
     return f"{type(e).__name__}({', '.join(map(_structure, e.args))})"
-
-
-def nearest(x: Expr, where: str = "") -> float:
-    """Return the double nearest to a number; raise ValueError if it is out of range."""
-    try:
-        found = x.p / x.q if x.is_Rational else float(x)
-    except OverflowError:
-        found = math.inf
-    if math.isinf(found) or (x != 0 and abs(found) < sys.float_info.min):
-        size = "large" if math.isinf(found) else "small"
-        raise ValueError(f"{where}{': ' * bool(where)}{sympy.N(x, 5)} is too {size} for a double")
-    return found
-
-
-# ---- what may occur in a model ---------------------------------------------------------------
-
-
-_STRUCTURE = (
-    *of_sympy(
-        "Add Mul Pow Symbol Rational Float NumberSymbol sec csc cot Max Min Piecewise Rel And Or "
-        "Not ITE"
-    ),
-    sympy.functions.elementary.piecewise.ExprCondPair,
-    sympy.logic.boolalg.BooleanAtom,
-)
-
-
-def require_known(
-    expression: Expr, where: str, shown: Callable[[Expr], Expr] = lambda e: e
-) -> None:
-    """Raise ValueError if an expression has a part that cannot be compiled."""
-    for e in sympy.preorder_traversal(expression):
-        if isinstance(e, (*_STRUCTURE, *FUNCTIONS)):
-            if isinstance(e, sympy.Float | sympy.Rational):
-                nearest(e, where)
-            continue
-        if isinstance(e, AppliedUndef):
-            hint = "write its formula instead"
-            if [str(x) for x in e.args] == [TIME.name]:
-                hint = (
-                    "list a coordinate in coordinates=, and an input of a force or a "
-                    "constraint in inputs=. Replace a generalized speed by velocities, with "
-                    f"its kinematic differential equation, for example by .subs({shown(e)}, "
-                    "...)"
-                )
-            raise ValueError(f"{where}: {shown(e)} is an unknown function; {hint}")
-        names = {f.__name__ for f in (*FUNCTIONS, *_STRUCTURE) if issubclass(f, sympy.Function)}
-        raise ValueError(
-            f"{where}: {shown(e)} ({type(e).__name__}) cannot be compiled; expected "
-            "expressions of "
-            f"{', '.join(sorted({*names, 'sqrt', 'Max', 'Min', 'And', 'Or', 'Not'}))}"
-        )

@@ -288,3 +288,19 @@ def _uses(nodes: Sequence[Node]) -> dict[Node, int]:
 def nearest(e: Node) -> float:
     """Return the double nearest to a number or a constant."""
     return e.value.numerator / e.value.denominator if e.op == "number" else float(e.value)
+
+
+@dataclass
+class Program:
+    """C source, line by line."""
+
+    lines: list[str] = field(default_factory=list)
+
+    @property
+    def source(self) -> str:
+        """The source code."""
+        return "".join(f"{line}\n" for line in self.lines)
+
+    def add(self, text: str) -> None:
+        """Add lines."""
+        self.lines += text.split("\n")

@@ -7,7 +7,8 @@ from typing import Any
 
 import sympy
 
-from .model import Model, nearest
+from .functions import nearest
+from .model import Model
 from .symbols import TIME
 from .zeros import of_sympy
 

@@ -202,7 +202,7 @@ def test_callbacks_to_25_digits(name):
     t = float(source.uniform(0.2, 1.1))
     values = dict(zip(found.q, map(mpmath.mpf, q))) | dict(zip(found.v, map(mpmath.mpf, v)))
     values |= dict(zip(found.p, map(mpmath.mpf, system.parameters.values())))
-    values[symbols_of.TIME] = mpmath.mpf(t)
+    values[model.TIME] = mpmath.mpf(t)
     for callback, outputs in expressions.items():
         if found.derived.function(callback) is None:
             continue
