@@ -24,7 +24,7 @@ import sympy
 
 import dalembert as dal
 from dalembert import cli, compiler
-import dalembert.symbolic.codegen as codegen
+import dalembert.symbolic.constructor as constructor
 import dalembert.symbolic.printing as printing
 from dalembert.symbolic.evaluation import library
 
