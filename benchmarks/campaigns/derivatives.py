@@ -675,7 +675,7 @@ def limited(seconds: int) -> Iterator[None]:
 
 @dataclass
 class Verdict:
-    """What a campaign has found.
+    """The results of a campaign.
 
     Attributes
     ----------
