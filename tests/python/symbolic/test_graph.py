@@ -29,7 +29,8 @@ def test_rules(graph):
     third = Fraction(1, 3)
     same = [
         (x + y, y + x), (x * y, y * x), ((2 * x) * (3 * y), 6 * (x * y)), (x + 0, x), (1 * x, x),
-        (x + x, 2 * x), (graph.sum([x, -y, -x]), -y), (2 * x + third * x, Fraction(7, 3) * x), (x * x, x**2),
+        (x + x, 2 * x), (graph.sum([x, -y, -x]), -y), (2 * x + third * x, Fraction(7, 3) * x),
+        (x * x, x**2),
         (x**2 * x**-2, graph.one), (x**2 / x, x), ((x**2) ** 3, x**6), ((2 * x) ** 3, 8 * x**3),
         (graph.call("sqrt", x) ** 2, x), (graph.call("sqrt", x) * graph.call("sqrt", x), x),
         ((x + y) - (x + z), y - z), (3 * (x + y) - 3 * x, 3 * y), (0 * x, graph.zero),
@@ -156,7 +157,8 @@ def test_conditions():
     forms = [sympy.Piecewise((1, condition), (0, True)) for condition in conditions]
     at = function({"z": symbols}, forms)
     for point in itertools.product((-1, 1, 1.5, 2, 3), repeat=2):
-        exact = [int(bool(c.xreplace(dict(zip(symbols, map(sympy.Rational, point)))))) for c in conditions]
+        values = dict(zip(symbols, map(sympy.Rational, point)))
+        exact = [int(bool(c.xreplace(values))) for c in conditions]
         assert at(point) == exact, point
 
 
