@@ -59,9 +59,9 @@ def _for_processor() -> tuple[str, ...]:
 
 
 # Measured: -O3 makes the fastest step, without vectorisation, which packs what was just stored, and
-# without two passes that take a quarter of the time of compiling.  Contraction would change bits.
-COMMON = ("-std=c11", "-O3", "-fno-tree-vectorize", "-fno-gcse", "-fno-schedule-insns2",
-          "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared",
+# without three passes that take a third of the time of compiling.  Contraction would change bits.
+COMMON = ("-std=c11", "-O3", "-fno-tree-vectorize", "-fno-gcse", "-fno-gcse-after-reload",
+          "-fno-schedule-insns2", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared",
           "-Werror=implicit-function-declaration",
           *shlex.split(os.environ.get("DALEMBERT_CFLAGS", "")))  # fmt: skip
 FLAGS = (*COMMON, *_for_processor())

@@ -16,7 +16,7 @@ from .derive import Function
 from .graph import Node, below
 from .model import Model
 from .pattern import MOST, field_zeros, pattern
-from .printing import LANES, C, Program, Text, spelled
+from .printing import CUT, LANES, C, Program, Text, spelled
 
 GENERATOR = 4  # changes with what is generated, as the files of this module do
 
@@ -125,6 +125,8 @@ def program(
         if lanes:
             _lanes(body, model)
         _compiled(body, model, lanes)
+    if any("MODEL_CUT" in line for line in body.lines):
+        made.add(CUT)
     for helper, rest in _HELPERS.items():
         if any(f"{helper}(" in line for line in body.lines):
             made.add(f"static inline double {helper}{rest}")
@@ -188,8 +190,11 @@ def _function(
             made.add(f"    const {real} {symbol.name} = {place};")
     unused = [i for i in _names(signature) if i in _MAYBE_UNUSED]
     made.add("    " + ", ".join(f"(void){name}" for name in [*unused, "p"]) + ";")
-    text = Text(nodes, LANES if is_vector else C)
+    text = Text(nodes, LANES if is_vector else C, is_cut=not is_few)
+    place = len(made.lines)
     _outputs(made, model, function, outputs, text)
+    if not is_few:
+        made.lines.insert(place, f"    {real} part[{text.count + 1}];")
     made.add("    return 0;\n}\n")
     if function.name not in ("mass", "state", *_OF_STEPS) and not is_vector:
         names = ", ".join(_names(signature))

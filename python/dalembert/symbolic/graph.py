@@ -70,13 +70,16 @@ class Node:
         The time after which the result is known, relative to that of a sum.
     bit : int
         The bit of a symbol or a jump in `reach`.
+    is_zero : bool
+        Whether the node is the number 0.
     """
 
-    __slots__ = ("args", "bit", "depth", "graph", "index", "op", "reach", "value")
+    __slots__ = ("args", "bit", "depth", "graph", "index", "is_zero", "op", "reach", "value")
 
     def __init__(self, graph: Graph, op: str, args: tuple[Node, ...], value: Any) -> None:
         self.graph, self.op, self.args, self.value = graph, op, args, value
         self.index = len(graph.nodes)
+        self.is_zero = op == "number" and value == 0
         self.bit = graph.new_bit() if op == "symbol" or op in _JUMPS else 0
         self.reach, self.depth = self.bit, 0
         for a in args:
@@ -88,11 +91,6 @@ class Node:
             self.reach |= WALL | PIECE
         elif op in _JUMPS or op == "choose":
             self.reach |= PIECE
-
-    @property
-    def is_zero(self) -> bool:
-        """Whether the node is the number 0."""
-        return self.op == "number" and self.value == 0
 
     def __add__(self, other: Node | Number) -> Node:
         return self.graph.sum([self, other])

@@ -129,6 +129,12 @@ class Model:
             found |= {q: coordinate, v: coordinate.d}
         return found
 
+    @functools.cached_property
+    def _plain_names(self) -> Rule:
+        velocities = [f"v_{name}" for name in self.coordinates]
+        names = [*self.coordinates, *velocities, *self.parameters, *self.inputs]
+        return dict(zip((*self.q, *self.v, *self.p, *self.u), map(sympy.Symbol, names)))
+
     # ---- as Python functions --------------------------------------------------------------
 
     def callables(self, name: str) -> dict[str, Callable[..., Any]]:
@@ -165,14 +171,9 @@ class Model:
 
         Terms with velocities come first.
         """
-        symbols = (*self.q, *self.v, *self.p, *self.u)
-        velocities = [f"v_{name}" for name in self.coordinates]
-        names = [*self.coordinates, *velocities, *self.parameters, *self.inputs]
-        expression = expression.xreplace(dict(zip(symbols, map(sympy.Symbol, names))))
-        moving = {sympy.Symbol(name) for name in names[self.n : 2 * self.n]}
-        parts: tuple[list[Expr], list[Expr]] = ([], [])
+        moving, parts = {*self.v}, ([], [])
         for term in sympy.Add.make_args(expression):
-            parts[not term.free_symbols & moving].append(term)
+            parts[not term.free_symbols & moving].append(term.xreplace(self._plain_names))
         texts = [str(sympy.factor_terms(sympy.Add(*part))) for part in parts if part]
         text = " + ".join(texts).replace("+ -", "- ")
         return text.replace("**", "^").replace("*", " ")

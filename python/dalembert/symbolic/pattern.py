@@ -130,9 +130,12 @@ def field_zeros(model: Model) -> str:
 
 def _closed(coupled: Any) -> Any:
     """Return the pairs of coordinates coupled through others: the entries of the inverse."""
-    for _ in range(len(coupled).bit_length()):
-        coupled = coupled @ coupled
-    return coupled
+    closed, before = coupled, None
+    while not np.array_equal(closed, before):
+        before = closed
+        wide = closed.astype(np.float32)  # of bool, numpy multiplies matrices slowly
+        closed = wide @ wide > 0
+    return closed
 
 
 def _filled(coupled: Any) -> Any:

@@ -65,6 +65,16 @@ PYTHON = Style("{} = {}", {
     "not": "(not {})", "true": "True", "nan": "nan",
 })  # fmt: skip
 
+# In long functions compilers allocate registers in a time that grows with the square of the length.
+# After a cut all values are in memory.
+CUT = """#ifdef __GNUC__
+#define MODEL_CUT(part) __asm__ volatile("" : : "r"(part) : "memory")
+#else
+#define MODEL_CUT(part) (void)(part)
+#endif"""
+
+_BETWEEN_CUTS = 50  # definitions; with more the time grows, and with less the length of the code
+
 # ---- what languages have -------------------------------------------------------------------------
 
 
@@ -118,22 +128,29 @@ class Text:
     style : Style
     symbols : mapping of str to str, optional
         The texts of symbols that are not their names.
+    is_cut : bool, optional
+        Whether what has a name is an element of an array of C, see `CUT`.  Then the time
+        of compiling is in proportion to the text.
 
     Attributes
     ----------
     called : set of str
         The functions of the math library that are written.
+    count : int
+        How many names there are.
     """
 
     def __init__(
-        self, nodes: Sequence[Node], style: Style, symbols: Mapping[str, str] | None = None
-    ) -> None:
+        self, nodes: Sequence[Node], style: Style, symbols: Mapping[str, str] | None = None,
+        is_cut: bool = False,
+    ) -> None:  # fmt: skip
         self.style = style
         self.called: set[str] = set()
         self._symbols = symbols or {}
+        self._is_cut = is_cut
         self._uses = _uses(nodes)
         self._known: dict[Node, tuple[str, int]] = {}
-        self._count = 0
+        self.count = 0
 
     def names(self, nodes: Iterable[Node], asked: Iterable[Node]) -> list[str]:
         """Return definitions of those nodes, by index, that have a name; see the module.
@@ -149,13 +166,16 @@ class Text:
             ):
                 self._known[node] = text, strength
                 continue
-            name = f"x{self._count}"
-            self._count += 1
-            line = self.style.line if not _is_number(node) else self.style.line.replace(
-                "dal_vec", "double"
-            )
+            is_number = _is_number(node)
+            line = self.style.line.replace("dal_vec", "double") if is_number else self.style.line
+            name = f"x{self.count}"
+            if self._is_cut and not is_number:
+                name, line = f"part[{self.count}]", "{} = {};"
             lines.append(line.format(name, text))
             self._known[node] = name, _ATOM
+            self.count += 1
+            if self._is_cut and self.count % _BETWEEN_CUTS == 0:
+                lines.append("MODEL_CUT(part);")
         return lines
 
     @property

@@ -131,9 +131,16 @@ def curved():
     return dal.System.from_sympy(free(q) + x**2 / 10, [z.d - x.d**2 / 2 + x.d * y.d / 3 + y / 5])
 
 
+def long():
+    """Many operations, whose values are stored on the way."""
+    x, y, z = q = dal.coordinates("x y z")
+    V = sum((x + k * y / 7) ** 4 * (1 + (y - sqrt(k) * z) ** 2 / k) for k in range(1, 31)) / 900
+    return dal.System.from_sympy(free(q) - V - (x**2 + y**2 + z**2) / 2, [z.d - y * x.d])
+
+
 ALGEBRAIC = [
     particle_oscillator, pivoting, unconstrained, jumping, heavy, loose, dragged, turntable,
-    curved,
+    curved, long,
 ]  # fmt: skip
 
 
@@ -227,7 +234,7 @@ def flags(request, monkeypatch, tmp_path):
 
 
 CASES = [(x, "libmvec") for x in (pivoting, unconstrained, jumping, knife_edge, sleigh, timed)]
-CASES += [(x, "libmvec") for x in (heavy, loose, dragged, turntable, curved)]
+CASES += [(x, "libmvec") for x in (heavy, loose, dragged, turntable, curved, long)]
 CASES += [(timed, "libm"), (particle_oscillator, "users"), (robot, "users")]
 CASES += [(robot, "clang")] * (shutil.which("clang") is not None)  # .ci/run installs it
 

@@ -107,6 +107,13 @@ def rich():
     return dal.System.from_sympy(L, rows, parameters={a: 0.7, b: 1.3}, force=force)
 
 
+def long():
+    """Return a system of many operations, whose values are stored on the way."""
+    x, y, theta = q = dal.coordinates("x y theta")
+    V = sum(sympy.cos(k * x - y / k) * (theta + y / k) ** 3 / k**2 for k in range(1, 31))
+    return dal.System.from_sympy(sum(v.d**2 for v in q) / 2 - V, [y.d - x * theta.d])
+
+
 def of(L, constraints=(), coordinates=None, parameters=None, *more):
     """Return a model, which is not compiled."""
     return symbolic.make_model(L, constraints, coordinates, parameters, *more)[0]
@@ -182,6 +189,7 @@ MAKERS = {
     "trailer3": lambda: trailer(3),
     "skates3": lambda: dal.System.from_sympy(*skates(3)),
     "rich": rich,
+    "long": long,
 }
 
 
@@ -524,12 +532,13 @@ def test_keys_tell_models_apart():
 
 
 def test_large_callbacks_are_called():
-    """Small ones are inlined in the step routine; those of many operations are not."""
+    """Small ones are inlined in the step routine; those of many operations are not, and are cut."""
     x, y = dal.coordinates("x y")
     for count, head in ((1, "DAL_KERNEL_INLINE int"), (150, "static int")):
         V = sum(sympy.sin(k * x) / k for k in range(1, count + 1))
         source = codegen.program(of((x.d**2 + y.d**2) / 2 - V, [y.d - x * x.d])).source
         assert f"{head}\nmodel_potential(" in source
+        assert source.count("MODEL_CUT(part);") == source.count("] = sin(") // 25  # and k x
         assert "DAL_KERNEL_INLINE int\nmodel_constraint(" in source
 
 
