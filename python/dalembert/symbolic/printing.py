@@ -129,7 +129,7 @@ class Text:
     symbols : mapping of str to str, optional
         The texts of symbols that are not their names.
     is_cut : bool, optional
-        Whether what has a name is an element of an array of C, see `CUT`.  Then the time
+        Whether named parts are elements of an array of C, see `CUT`.  Then the time
         of compiling is in proportion to the text.
 
     Attributes
