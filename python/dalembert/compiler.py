@@ -340,11 +340,12 @@ def _waiting(begin: float, size: int) -> Iterator[Callable[[], None]]:
             if show is None:
                 before = _seconds_before(size)
                 last = f"; the last one of this size took {before:.0f} s" if before else ""
-                _log.info("compiling a model of %d kB of C%s", size // 1000, last)
+                doing = f"compiling a model of {size // 1000} kB of C{last}"
+                _log.info(doing)
                 wanted = _progress.get()
                 if wanted is None:
                     wanted = sys.stderr.isatty() and extras.is_there("tqdm")
-                show = stack.enter_context(extras.progress(wanted, before or seconds, "s"))
+                show = stack.enter_context(extras.progress(wanted, before, "s", doing))
             show(seconds, max(before or 0.0, seconds))
 
         yield tick

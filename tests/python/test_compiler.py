@@ -494,18 +494,19 @@ def test_what_the_compiler_refuses_is_explained(cache, monkeypatch):
     assert compiler.entries() == []
 
 
-def test_long_compilations_say_how_long_they_take(cache, monkeypatch, tmp_path, caplog):
-    """After a second, in the log and to a function; the second knows the time of the first."""
+def test_long_compilations_say_how_long_they_take(cache, monkeypatch, tmp_path, caplog, capsys):
+    """After a second, in the log, as a bar, to a function; the second knows the first's time."""
     slow, calls = tmp_path / "cc", []
     slow.write_text(f'#!/bin/sh\nsleep 1.3\nexec {compiler.find().command[0]} "$@"\n')
     slow.chmod(0o755)
     monkeypatch.setenv("CC", str(slow))
     x, y = dal.coordinates("x y")
     with caplog.at_level(logging.INFO, "dalembert.compiler"):
-        for k in (2, 3):
+        for k, progress in ((2, True), (3, lambda *call: calls.append(call))):
             L = (x.d**2 + y.d**2) / 2 - k * x**2
-            dal.System.from_sympy(L, progress=lambda *call: calls.append(call))
+            dal.System.from_sympy(L, progress=progress)
     first, second = (r.getMessage() for r in caplog.records)
+    assert re.search(rf"\r{first}: [12] s$", capsys.readouterr().err.strip("\n "))
     assert "the last one of this size took" not in first
     assert re.fullmatch(r"compiling a model of \d+ kB of C; the last one .* took \d s", second)
     assert all(1.0 <= done <= total for done, total in calls) and len(calls) >= 2

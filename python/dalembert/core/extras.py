@@ -48,9 +48,12 @@ def is_there(package: str) -> bool:
 
 
 def progress(
-    wanted: Progress, total: float, unit: str
+    wanted: Progress, total: float | None, unit: str, doing: str = ""
 ) -> contextlib.AbstractContextManager[Show]:
     """Provide a function that shows the progress, by a bar, by a user's function, or not at all.
+
+    A bar begins with ``doing``, which is for long waits in seconds; without a total it has a number
+    alone.
 
     Raises ValueError if ``wanted`` is neither a truth value nor callable, and ImportError if a bar
     is wanted and tqdm is not installed.
@@ -62,20 +65,21 @@ def progress(
         raise ValueError(
             f"progress = {arguments.shown(wanted)}: expected True, False or a function"
         )
-    return _bar(total, unit) if wanted else _SILENCE
+    return _bar(total, unit, doing) if wanted else _SILENCE
 
 
 _SILENCE = contextlib.nullcontext(lambda done, most=0.0: None)
 
 
 @contextlib.contextmanager
-def _bar(total: float, unit: str) -> Iterator[Show]:
+def _bar(total: float | None, unit: str, doing: str) -> Iterator[Show]:
     with warnings.catch_warnings():  # that a notebook without ipywidgets shows a plain bar
         warnings.filterwarnings("ignore", "IProgress not found")
         tqdm = require("tqdm.auto", "progress=True").tqdm
-    with tqdm(total=total, unit=unit, unit_scale=True) as bar:
+    line = "{desc}: {n:.0f} " + unit + " |{bar}|" * (total is not None) if doing else None
+    with tqdm(total=total, unit=unit, unit_scale=True, desc=doing, bar_format=line) as bar:
 
-        def show(done: float, most: float = total) -> None:
+        def show(done: float, most: float | None = total) -> None:
             bar.total = most
             bar.update(done - bar.n)
 
