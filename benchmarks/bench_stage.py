@@ -1,5 +1,7 @@
 """A stage of leapfrog with a potential, of models from SymPy, against the same stage by hand in C.
 
+By hand it is written with the compensated sums of the library, and with plain ones.
+
 Usage: ``python bench_stage.py BENCH_STAGE HAND_STAGES``, the program made from bench_stage.c and
 the file hand_stages.c, which is compiled here as models are: by the same compiler with its flags.
 

@@ -6,14 +6,32 @@
  *
  * Where mu depends on coordinates that kappa does not push, q' is known as far as mu asks for it,
  * and the equation for kappa is linear.  kappa is found from what mu(q') v' lacks, and what is left
- * of that is looked at, as the library does: D is kept to roundoff. */
+ * of that is looked at, as the library does: D is kept to roundoff.  The compensated sums are those
+ * of the library; where the formulas for kappa are its formulas too, the states have its bits. */
 #include "hand_stages.h"
+#include "hand_sum.h"
 
 #include <float.h>
 #include <math.h>
 
 /* What may be left of mu v', for n = 3 or 4, in units of |mu| |v|. */
 #define ALLOWED(n) ((n) * DBL_EPSILON)
+
+#define HAND_ARGUMENTS \
+    size_t steps, size_t count, const hand_stage *stage, const double *p, double *state
+
+/* Begins the loop of a system, of which both functions of hand_stages.h are made. */
+#define HAND(system) \
+    HAND_INLINE void system(bool compensated, HAND_ARGUMENTS); \
+    void hand_compensated_##system(HAND_ARGUMENTS) \
+    { \
+        system(true, steps, count, stage, p, state); \
+    } \
+    void hand_plain_##system(HAND_ARGUMENTS) \
+    { \
+        system(false, steps, count, stage, p, state); \
+    } \
+    HAND_INLINE void system(bool compensated, HAND_ARGUMENTS)
 
 static inline double larger(double x, double y) { return x > y ? x : y; }
 
@@ -23,166 +41,195 @@ static inline double largest(double x, double y, double z)
 }
 
 /* mu = (-y, 0, 1), M = 1, V = (k1 x^2 + k2 y^2 + k3 z^2)/2; p = (k1, k2, k3). */
-void hand_particle_oscillator(size_t steps, size_t count, const hand_stage *stage, const double *p,
-                              double *state)
+HAND(particle_oscillator)
 {
     const double k1 = p[0], k2 = p[1], k3 = p[2];
-    double x = state[0], y = state[1], z = state[2];
-    double vx = state[3], vy = state[4], vz = state[5];
+    hand_sum x = hand_sum_of(state[0]), y = hand_sum_of(state[1]), z = hand_sum_of(state[2]);
+    hand_sum vx = hand_sum_of(state[3]), vy = hand_sum_of(state[4]), vz = hand_sum_of(state[5]);
     for (size_t k = 0; k < steps; k++)
         for (const hand_stage *s = stage, *const end = stage + count; s < end; s++) {
-            x += s->before * vx;
-            y += s->before * vy;
-            z += s->before * vz;
-            vx -= s->span * (k1 * x);
-            vy -= s->span * (k2 * y);
-            vz -= s->span * (k3 * z);
-            const double yk = y;
-            y += s->after * vy;
-            const double share = 1.0 / (1.0 + y * yk), scale = ALLOWED(3) * (1.0 + fabs(y));
-            double lack = y * vx - vz;
+            const double wx = s->before * vx.x, wy = s->before * vy.x, wz = s->before * vz.x;
+            const double xk = x.x + wx, yk = y.x + wy, zk = z.x + wz;
+            hand_way to_x = hand_pass(x, xk, wx), to_y = hand_pass(y, yk, wy);
+            hand_way to_z = hand_pass(z, zk, wz);
+            hand_way ux = hand_start(vx), uy = hand_start(vy), uz = hand_start(vz);
+            hand_go(&ux, -(s->span * (k1 * xk)));
+            hand_go(&uy, -(s->span * (k2 * yk)));
+            hand_go(&uz, -(s->span * (k3 * zk)));
+            hand_end(compensated, &vy, uy);
+            hand_go(&to_y, s->after * vy.x);
+            hand_end(compensated, &y, to_y);
+            const double share = 1.0 / (1.0 + y.x * yk), scale = ALLOWED(3) * (1.0 + fabs(y.x));
+            double lack = y.x * ux.next - uz.next;
             do {
                 const double kappa = lack * share;
-                vx -= yk * kappa;
-                vz += kappa;
-                lack = y * vx - vz;
-            } while (fabs(lack) > scale * largest(vx, vy, vz));
-            x += s->after * vx;
-            z += s->after * vz;
+                hand_go(&ux, -yk * kappa);
+                hand_go(&uz, kappa);
+                lack = y.x * ux.next - uz.next;
+            } while (fabs(lack) > scale * largest(ux.next, vy.x, uz.next));
+            hand_end(compensated, &vx, ux);
+            hand_end(compensated, &vz, uz);
+            hand_go(&to_x, s->after * vx.x);
+            hand_go(&to_z, s->after * vz.x);
+            hand_end(compensated, &x, to_x);
+            hand_end(compensated, &z, to_z);
         }
-    state[0] = x, state[1] = y, state[2] = z;
-    state[3] = vx, state[4] = vy, state[5] = vz;
+    state[0] = x.x, state[1] = y.x, state[2] = z.x;
+    state[3] = vx.x, state[4] = vy.x, state[5] = vz.x;
 }
 
 /* mu = (1, 0, y), M = 1, V = (x^2 + y^2 + z^2 + eps x^2 z^2)/2; p = (eps). */
-void hand_contact_oscillator(size_t steps, size_t count, const hand_stage *stage, const double *p,
-                             double *state)
+HAND(contact_oscillator)
 {
     const double eps = p[0];
-    double x = state[0], y = state[1], z = state[2];
-    double vx = state[3], vy = state[4], vz = state[5];
+    hand_sum x = hand_sum_of(state[0]), y = hand_sum_of(state[1]), z = hand_sum_of(state[2]);
+    hand_sum vx = hand_sum_of(state[3]), vy = hand_sum_of(state[4]), vz = hand_sum_of(state[5]);
     for (size_t k = 0; k < steps; k++)
         for (const hand_stage *s = stage, *const end = stage + count; s < end; s++) {
-            x += s->before * vx;
-            y += s->before * vy;
-            z += s->before * vz;
-            vx -= s->span * (x + eps * x * (z * z));
-            vy -= s->span * y;
-            vz -= s->span * (z + eps * z * (x * x));
-            const double yk = y;
-            y += s->after * vy;
-            const double share = 1.0 / (1.0 + y * yk), scale = ALLOWED(3) * (1.0 + fabs(y));
-            double lack = -(vx + y * vz);
+            const double wx = s->before * vx.x, wy = s->before * vy.x, wz = s->before * vz.x;
+            const double xk = x.x + wx, yk = y.x + wy, zk = z.x + wz;
+            hand_way to_x = hand_pass(x, xk, wx), to_y = hand_pass(y, yk, wy);
+            hand_way to_z = hand_pass(z, zk, wz);
+            hand_way ux = hand_start(vx), uy = hand_start(vy), uz = hand_start(vz);
+            hand_go(&ux, -(s->span * (xk * (1.0 + eps * (zk * zk)))));
+            hand_go(&uy, -(s->span * yk));
+            hand_go(&uz, -(s->span * (zk * (1.0 + eps * (xk * xk)))));
+            hand_end(compensated, &vy, uy);
+            hand_go(&to_y, s->after * vy.x);
+            hand_end(compensated, &y, to_y);
+            const double share = 1.0 / (1.0 + y.x * yk), scale = ALLOWED(3) * (1.0 + fabs(y.x));
+            double lack = -(ux.next + y.x * uz.next);
             do {
                 const double kappa = lack * share;
-                vx += kappa;
-                vz += yk * kappa;
-                lack = -(vx + y * vz);
-            } while (fabs(lack) > scale * largest(vx, vy, vz));
-            x += s->after * vx;
-            z += s->after * vz;
+                hand_go(&ux, kappa);
+                hand_go(&uz, yk * kappa);
+                lack = -(ux.next + y.x * uz.next);
+            } while (fabs(lack) > scale * largest(ux.next, vy.x, uz.next));
+            hand_end(compensated, &vx, ux);
+            hand_end(compensated, &vz, uz);
+            hand_go(&to_x, s->after * vx.x);
+            hand_go(&to_z, s->after * vz.x);
+            hand_end(compensated, &x, to_x);
+            hand_end(compensated, &z, to_z);
         }
-    state[0] = x, state[1] = y, state[2] = z;
-    state[3] = vx, state[4] = vy, state[5] = vz;
+    state[0] = x.x, state[1] = y.x, state[2] = z.x;
+    state[3] = vx.x, state[4] = vy.x, state[5] = vz.x;
 }
 
 /* mu = (sin theta, -cos theta, 0), M = diag(m, m, J), V = -m gs x; p = (m, J, gs).  The reaction
  * on the edge is m kappa, so that neither m nor J occurs but in the size of v. */
-void hand_knife_edge(size_t steps, size_t count, const hand_stage *stage, const double *p,
-                     double *state)
+HAND(knife_edge)
 {
     const double gs = p[2], ratio = sqrt(p[1] / p[0]);
-    double x = state[0], y = state[1], theta = state[2];
-    double vx = state[3], vy = state[4];
     const double omega = state[5], turning = ratio * fabs(omega);
+    hand_sum x = hand_sum_of(state[0]), y = hand_sum_of(state[1]), theta = hand_sum_of(state[2]);
+    hand_sum vx = hand_sum_of(state[3]), vy = hand_sum_of(state[4]);
     for (size_t k = 0; k < steps; k++)
         for (const hand_stage *s = stage, *const end = stage + count; s < end; s++) {
-            x += s->before * vx;
-            y += s->before * vy;
-            theta += s->before * omega;
-            const double sk = sin(theta), ck = cos(theta);
-            theta += s->after * omega;
-            const double s1 = sin(theta), c1 = cos(theta);
-            vx += s->span * gs;
+            const double wx = s->before * vx.x, wy = s->before * vy.x, turn = s->before * omega;
+            const double node = theta.x + (0.5 * theta.low + turn);
+            hand_way to_x = hand_pass(x, x.x + wx, wx), to_y = hand_pass(y, y.x + wy, wy);
+            hand_end(compensated, &theta, hand_turn(theta, node, turn, s->after * omega,
+                                                    s->before == s->after));
+            const double sk = sin(node), ck = cos(node), s1 = sin(theta.x), c1 = cos(theta.x);
+            hand_way ux = hand_start(vx), uy = hand_start(vy);
+            hand_go(&ux, s->span * gs);
             const double share = 1.0 / (s1 * sk + c1 * ck);
             const double scale = ALLOWED(3) * (fabs(s1) + fabs(c1));
-            double lack = c1 * vy - s1 * vx;
+            double lack = c1 * uy.next - s1 * ux.next;
             do {
                 const double kappa = lack * share;
-                vx += sk * kappa;
-                vy -= ck * kappa;
-                lack = c1 * vy - s1 * vx;
-            } while (fabs(lack) > scale * largest(vx, vy, turning));
-            x += s->after * vx;
-            y += s->after * vy;
+                hand_go(&ux, sk * kappa);
+                hand_go(&uy, -ck * kappa);
+                lack = c1 * uy.next - s1 * ux.next;
+            } while (fabs(lack) > scale * largest(ux.next, uy.next, turning));
+            hand_end(compensated, &vx, ux);
+            hand_end(compensated, &vy, uy);
+            hand_go(&to_x, s->after * vx.x);
+            hand_go(&to_y, s->after * vy.x);
+            hand_end(compensated, &x, to_x);
+            hand_end(compensated, &y, to_y);
         }
-    state[0] = x, state[1] = y, state[2] = theta;
-    state[3] = vx, state[4] = vy;
+    state[0] = x.x, state[1] = y.x, state[2] = theta.x;
+    state[3] = vx.x, state[4] = vy.x;
 }
 
 /* v_x = R cos(phi) v_theta, v_y = R sin(phi) v_theta, M = diag(m, m, I, J), V = k sin(theta);
- * p = (m, I, J, R, k).  With e = (cos phi, sin phi) and kappa = m (R v_theta' e' - v)
+ * p = (m, I, J, R, k).  With e = (cos phi, sin phi) and kappa = m (v' - v)
  *     J (v_theta' - v_theta) = -(a+b) h k cos(theta_k) - R e_k . kappa,
- * and what is found lies in D, for v' is made from it. */
-void hand_robot(size_t steps, size_t count, const hand_stage *stage, const double *p,
-                double *state)
+ * and what is left of mu v' are the roundings of kappa and v'. */
+HAND(robot)
 {
-    const double J = p[2], R = p[3], k = p[4], mR = p[0] * R, mRR = mR * R;
-    double x = state[0], y = state[1], phi = state[2], theta = state[3];
-    double vx = state[4], vy = state[5], roll = state[7];
+    const double J = p[2], R = p[3], mR = p[0] * R, mRR = mR * R, pull = p[4] / J;
     const double turn = state[6];
+    hand_sum x = hand_sum_of(state[0]), y = hand_sum_of(state[1]), phi = hand_sum_of(state[2]);
+    hand_sum theta = hand_sum_of(state[3]), roll = hand_sum_of(state[7]);
+    hand_sum vx = hand_sum_of(state[4]), vy = hand_sum_of(state[5]);
     for (size_t step = 0; step < steps; step++)
         for (const hand_stage *s = stage, *const end = stage + count; s < end; s++) {
-            x += s->before * vx;
-            y += s->before * vy;
-            phi += s->before * turn;
-            theta += s->before * roll;
-            const double sk = sin(phi), ck = cos(phi);
-            phi += s->after * turn;
-            const double s1 = sin(phi), c1 = cos(phi);
-            const double lack_x = vx - R * c1 * roll, lack_y = vy - R * s1 * roll;
-            roll += (mR * (ck * lack_x + sk * lack_y) - s->span * k * cos(theta))
-                  / (J + mRR * (ck * c1 + sk * s1));
-            vx = R * c1 * roll;
-            vy = R * s1 * roll;
-            x += s->after * vx;
-            y += s->after * vy;
-            theta += s->after * roll;
+            const double wx = s->before * vx.x, wy = s->before * vy.x, way = s->before * roll.x;
+            const double turned = s->before * turn, node = phi.x + (0.5 * phi.low + turned);
+            const double theta_k = theta.x + way;
+            hand_way to_x = hand_pass(x, x.x + wx, wx), to_y = hand_pass(y, y.x + wy, wy);
+            hand_way to_theta = hand_pass(theta, theta_k, way);
+            hand_end(compensated, &phi, hand_turn(phi, node, turned, s->after * turn,
+                                                  s->before == s->after));
+            const double sk = sin(node), ck = cos(node), s1 = sin(phi.x), c1 = cos(phi.x);
+            hand_way ux = hand_start(vx), uy = hand_start(vy), faster = hand_start(roll);
+            hand_go(&faster, -(s->span * (pull * cos(theta_k))));
+            const double share = mR / (J + mRR * (ck * c1 + sk * s1));
+            const double lack_x = R * c1 * faster.next - ux.next;
+            const double lack_y = R * s1 * faster.next - uy.next;
+            const double change = -(share * (ck * lack_x + sk * lack_y));
+            hand_go(&faster, change);
+            hand_go(&ux, lack_x + R * c1 * change);
+            hand_go(&uy, lack_y + R * s1 * change);
+            hand_end(compensated, &roll, faster);
+            hand_end(compensated, &vx, ux);
+            hand_end(compensated, &vy, uy);
+            hand_go(&to_x, s->after * vx.x);
+            hand_go(&to_y, s->after * vy.x);
+            hand_go(&to_theta, s->after * roll.x);
+            hand_end(compensated, &x, to_x);
+            hand_end(compensated, &y, to_y);
+            hand_end(compensated, &theta, to_theta);
         }
-    state[0] = x, state[1] = y, state[2] = phi, state[3] = theta;
-    state[4] = vx, state[5] = vy, state[7] = roll;
+    state[0] = x.x, state[1] = y.x, state[2] = phi.x, state[3] = theta.x;
+    state[4] = vx.x, state[5] = vy.x, state[7] = roll.x;
 }
 
 /* mu = (-sin theta, cos theta, -a), M = diag(m, m, J), V = k (x^2 + y^2)/2; p = (m, J, a, k).  The
  * reaction turns the sleigh: Newton in the number kappa, from those of the stages before. */
-void hand_sleigh(size_t steps, size_t count, const hand_stage *stage, const double *p,
-                 double *state)
+HAND(sleigh)
 {
     const double light = 1.0 / p[0], arm = p[2], lever = arm / p[1], pull = p[3] * light;
     const double ratio = sqrt(p[1] / p[0]), reach = fabs(arm) / ratio;
-    double x = state[0], y = state[1], theta = state[2];
-    double vx = state[3], vy = state[4], omega = state[5];
+    hand_sum x = hand_sum_of(state[0]), y = hand_sum_of(state[1]), theta = hand_sum_of(state[2]);
+    hand_sum vx = hand_sum_of(state[3]), vy = hand_sum_of(state[4]), omega = hand_sum_of(state[5]);
     double one = 0.0, two = 0.0, three = 0.0; /* kappa of the stages before */
     for (size_t k = 0; k < steps; k++)
         for (const hand_stage *s = stage, *const end = stage + count; s < end; s++) {
-            x += s->before * vx;
-            y += s->before * vy;
-            theta += s->before * omega;
-            const double sk = light * sin(theta), ck = light * cos(theta);
-            vx -= s->span * (pull * x);
-            vy -= s->span * (pull * y);
+            const double wx = s->before * vx.x, wy = s->before * vy.x, way = s->before * omega.x;
+            const double xk = x.x + wx, yk = y.x + wy, node = theta.x + way;
+            hand_way to_x = hand_pass(x, xk, wx), to_y = hand_pass(y, yk, wy);
+            hand_way to_theta = hand_pass(theta, node, way);
+            const double sk = light * sin(node), ck = light * cos(node);
+            hand_way ux = hand_start(vx), uy = hand_start(vy), turn = hand_start(omega);
+            hand_go(&ux, -(s->span * (pull * xk)));
+            hand_go(&uy, -(s->span * (pull * yk)));
             double kappa = s->ahead[0] * one + s->ahead[1] * two + s->ahead[2] * three;
-            double ux = vx - sk * kappa, uy = vy + ck * kappa, turn = omega - lever * kappa;
-            double angle = theta + s->after * turn;
+            double nx = ux.next - sk * kappa, ny = uy.next + ck * kappa;
+            double rate = turn.next - lever * kappa, angle = to_theta.next + s->after * rate;
             double s1 = sin(angle), c1 = cos(angle);
             const double share = 1.0 / (s1 * sk + c1 * ck + lever * (arm
-                                        + s->after * (c1 * ux + s1 * uy)));
-            double lack = s1 * ux - c1 * uy + arm * turn;
+                                        + s->after * (c1 * nx + s1 * ny)));
+            double lack = s1 * nx - c1 * ny + arm * rate;
             double change = 1.0; /* of the angle */
             for (int tries = 0; fabs(change) > 0x1p-17 && tries < 16; tries++) {
                 kappa += lack * share;
-                ux = vx - sk * kappa, uy = vy + ck * kappa, turn = omega - lever * kappa;
-                change = theta + s->after * turn - angle;
+                nx = ux.next - sk * kappa, ny = uy.next + ck * kappa;
+                rate = turn.next - lever * kappa;
+                change = to_theta.next + s->after * rate - angle;
                 angle += change;
                 if (fabs(change) > 0x1p-17) {
                     s1 = sin(angle), c1 = cos(angle);
@@ -191,19 +238,25 @@ void hand_sleigh(size_t steps, size_t count, const hand_stage *stage, const doub
                     s1 += change * (c1 - half * s1);
                     c1 -= change * (sine + half * c1);
                 }
-                lack = s1 * ux - c1 * uy + arm * turn;
+                lack = s1 * nx - c1 * ny + arm * rate;
             }
             if (fabs(lack) > ALLOWED(3) * (fabs(s1) + fabs(c1) + reach)
-                                 * largest(ux, uy, ratio * turn)) { /* a rounding of the angle */
+                                 * largest(nx, ny, ratio * rate)) /* a rounding of the angle */
                 kappa += lack * share;
-                ux = vx - sk * kappa, uy = vy + ck * kappa, turn = omega - lever * kappa;
-            }
             three = two, two = one, one = kappa;
-            theta = angle, omega = turn;
-            vx = ux, vy = uy;
-            x += s->after * vx;
-            y += s->after * vy;
+            hand_go(&ux, -sk * kappa);
+            hand_go(&uy, ck * kappa);
+            hand_go(&turn, -lever * kappa);
+            hand_end(compensated, &vx, ux);
+            hand_end(compensated, &vy, uy);
+            hand_end(compensated, &omega, turn);
+            hand_go(&to_x, s->after * vx.x);
+            hand_go(&to_y, s->after * vy.x);
+            hand_go(&to_theta, s->after * omega.x);
+            hand_end(compensated, &x, to_x);
+            hand_end(compensated, &y, to_y);
+            hand_end(compensated, &theta, to_theta);
         }
-    state[0] = x, state[1] = y, state[2] = theta;
-    state[3] = vx, state[4] = vy, state[5] = omega;
+    state[0] = x.x, state[1] = y.x, state[2] = theta.x;
+    state[3] = vx.x, state[4] = vy.x, state[5] = omega.x;
 }

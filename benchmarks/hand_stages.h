@@ -15,6 +15,10 @@ typedef struct hand_stage {
 typedef void hand_fn(size_t steps, size_t count, const hand_stage *stage, const double *p,
                      double *state);
 
-hand_fn hand_particle_oscillator, hand_contact_oscillator, hand_knife_edge, hand_robot, hand_sleigh;
+/* With compensated sums, and with plain ones. */
+hand_fn hand_compensated_particle_oscillator, hand_plain_particle_oscillator,
+    hand_compensated_contact_oscillator, hand_plain_contact_oscillator,
+    hand_compensated_knife_edge, hand_plain_knife_edge, hand_compensated_robot, hand_plain_robot,
+    hand_compensated_sleigh, hand_plain_sleigh;
 
 #endif /* DALEMBERT_HAND_STAGES_H */
