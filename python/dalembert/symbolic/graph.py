@@ -11,6 +11,8 @@ These are the rules by which formulas are rewritten, and all of them:
 - A number comes first in a product, and once: (2 x) (3 y) is 6 (x y); -(x - y) is y - x.
 - In a sum equal terms are collected, also those of sums in it that are not long; in a product
   equal bases, with their exponents.  A difference in a sum is kept: x - y has digits that x lacks.
+  But if one of its terms cancels it is opened: y + (x - y) is x.
+- A number that all terms of a sum have is taken out: 2 x + 2 y is 2 (x + y).
 - x + 0, 1 x, 0 x, x^1, x^0 and (x^a)^b are simplified as for numbers.
 - A function of numbers is a number where that is exact, as cos(0) and max(2, 3).
 - The arguments of a sum, a product, a maximum and a minimum are in the order of their creation.
@@ -173,16 +175,21 @@ class Graph:
         given = [self.node(x) for x in terms]
         found = _collected(_split(e) for e in given)
         within = [part for e, x in found.items() for part in _terms(e, x)]
-        collected = _collected(within)
+        collected = _opened(_collected(within))
         if len(collected) < len(within):
             found = collected
         if not all(_is_in_range(x) for x in found.values()):
             return self._tree([(e, 1) for e in given], self._sum_of_two)[0]
-        parts = [(self.scaled(abs(x), e), 1 if x > 0 else -1) for e, x in found.items() if x]
-        if not parts:
+        if not found:
             return self.zero
+        sizes = {abs(x) for x in found.values()}
+        common = sizes.pop() if len(sizes) == 1 else 1
+        parts = [
+            (self.scaled(1 if abs(x) == common else abs(x), e), 1 if x > 0 else -1)
+            for e, x in found.items()
+        ]
         node, sign = self._tree(parts, self._sum_of_two)
-        return self.scaled(sign, node)
+        return self.scaled(sign * common, node)
 
     def _sum_of_two(self, one: tuple[Node, int], other: tuple[Node, int]) -> tuple[Node, int]:
         (a, sign), (b, second) = one, other
@@ -487,11 +494,23 @@ def _terms(e: Node, factor: Number) -> list[tuple[Number, Node]]:
 
 
 def _collected(terms: Iterable[tuple[Number, Node]]) -> dict[Node, Number]:
-    """Return the factor of each term of a sum."""
+    """Return the factor of each term of a sum, unless it is 0."""
     found: dict[Node, Number] = {}
     for factor, e in terms:
         found[e] = found.get(e, 0) + factor
-    return found
+    return {e: x for e, x in found.items() if x}
+
+
+def _opened(sums: dict[Node, Number]) -> dict[Node, Number]:
+    """Return the factors of terms with the terms of those differences in which one cancels."""
+    for e in [e for e in sums if e.op == "-"]:
+        if e not in sums:
+            continue  # it has cancelled
+        rest = {other: x for other, x in sums.items() if other is not e}
+        opened = [(x, a) for k, a in zip((1, -1), e.args) for x, a in _terms(a, k * sums[e])]
+        if any(rest.get(a) == -x for x, a in opened):
+            sums = _collected([*((x, a) for a, x in rest.items()), *opened])
+    return sums
 
 
 def _place(e: Node) -> tuple[bool, int]:
