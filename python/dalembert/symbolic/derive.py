@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import itertools
+import operator
 import random
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -201,7 +202,10 @@ class _Derivation:
             self.require_smooth(nodes, variables)
         size = len(variables)
         found = [self.graph.zero] * (len(nodes) * size)
+        mask = functools.reduce(operator.or_, (e.reach for e in nodes), 0)
         for j, x in enumerate(variables):
+            if not mask & x.bit:
+                continue
             rows = [
                 i for i, e in enumerate(nodes[: j + 1] if is_symmetric else nodes)
                 if e.reach & x.bit
@@ -312,6 +316,8 @@ class _Derivation:
         for a, e in enumerate(phi):
             with self.naming(f"constraints[{a}]"):
                 slopes.append(self.gradients([e], variables))
+        forward = [self.slopes([e], variables) for e in phi]
+        slopes = min(slopes, forward, key=lambda rows: len(graphs.below(itertools.chain(*rows))))
         phi_q, rows, phi_t = (
             [row[part] for row in slopes]
             for part in (slice(0, n), slice(n, 2 * n), slice(2 * n, None))

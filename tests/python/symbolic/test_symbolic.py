@@ -27,8 +27,9 @@ import dalembert.symbolic.codegen as codegen
 import dalembert.symbolic.constructor as constructor
 import dalembert.symbolic.given as symbolic
 import dalembert.symbolic.symbols as model
+from dalembert.symbolic import expressions
 from dalembert.symbolic.evaluation import library
-from dalembert.symbolic.graph import Graph
+from dalembert.symbolic.graph import Graph, below
 from dalembert.symbolic.reading import Reader
 from dalembert.symbolic.values import values
 
@@ -276,6 +277,18 @@ def test_derivatives_on_the_graph(seed):
                 wanted = expected.xreplace(exact)._to_mpmath(mpmath.mp.prec)
                 assert abs(value - wanted) <= 1e-30 * (1 + abs(wanted)), (x, expected)
     assert set(slopes) <= {nodes[s] for s in e.free_symbols}
+
+
+@pytest.mark.parametrize("name", ["snakeboard", "n_trailer"])
+def test_constraints_are_differentiated_the_shorter_way(name):
+    """Forward or in reverse."""
+    found = expressions.model(getattr(dal.systems, name)()).derived
+    phi, phi_v, phi_q = (found.entries("constraint", x) for x in ("phi", "phi_v", "phi_q"))
+    variables = [e for e in below(phi) if e.op == "symbol" and e.value[0] in "qv"]
+    graph = variables[0].graph
+    reverse = [x for e in phi for x in graph.gradient(e, variables).values()]
+    forward = [x for v in variables for x in graph.along(phi, {v: 1})]
+    assert len(below([*phi_v, *phi_q])) <= min(len(below(reverse)), len(below(forward))) + 1
 
 
 def test_work_grows_with_what_is_there():
