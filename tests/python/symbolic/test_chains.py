@@ -1,0 +1,54 @@
+"""Chains of bodies: accelerations against Kane's method, and time against operations."""
+
+import time
+
+import pytest
+from chains import acceleration, model, random_chain, state
+from conftest import U
+
+import dalembert as dal
+from dalembert.symbolic.graph import below
+
+PLANE, SPACE, ABSOLUTE, RELATIVE = True, False, True, False
+
+
+def check_accelerations(chain, system):
+    assert (system.n, system.m) == (chain.n, ["none", "knife", "rolling"].index(chain.constraint))
+    for seed in range(3):
+        q, v = state(chain, seed)
+        exact, condition = acceleration(chain, q, v)
+        error = abs(system.acceleration(q, v) - exact).max()
+        assert error <= 4 * U * condition * abs(exact).max()
+
+
+@pytest.mark.parametrize(
+    "n, where, angles, constraint",
+    [
+        (7, PLANE, RELATIVE, "rolling"), (8, PLANE, ABSOLUTE, "knife"),
+        (5, SPACE, RELATIVE, "none"), (6, SPACE, RELATIVE, "knife"),
+    ],
+)  # fmt: skip
+def test_accelerations(n, where, angles, constraint):
+    chain = random_chain(n, where, angles, constraint)
+    check_accelerations(chain, dal.System.from_sympy(*model(chain)))
+
+
+def test_time_in_proportion_to_operations(monkeypatch, tmp_path):
+    """From formulas to C an operation takes for 20 and 30 coordinates at most 3 times as long as
+    for 10, which are timed before and after, as other processes slow all.
+    """
+    rates = {10: 0.0, 20: 0.0, 30: 0.0}
+    for i, n in enumerate((10, 20, 30, 10)):
+        monkeypatch.setenv("DALEMBERT_CACHE", str(tmp_path / str(i)))  # where nothing is known
+        chain = random_chain(n, SPACE, ABSOLUTE, "rolling")
+        given = model(chain)
+        begin = time.process_time()
+        system = dal.System.from_sympy(*given)
+        seconds = time.process_time() - begin
+        outputs = [e for f in system._model.derived.functions for e in sum(f.outputs.values(), [])]
+        count = len(below(outputs))
+        assert count > (2000 if n < 30 else 15_000)
+        rates[n] = max(rates[n], seconds / count)
+        if n > 10:
+            check_accelerations(chain, system)
+    assert max(rates.values()) <= 3 * rates[10], rates
