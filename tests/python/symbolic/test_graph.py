@@ -63,6 +63,7 @@ def test_numbers_are_exact_unless_out_of_range(graph):
     assert (10**200 * product).args[1].op != "number"
     twice = graph.product([10**200, 10**200, x])
     assert values([twice], {"x": 1})[0] == mpmath.mpf(10) ** 400
+    assert graph.sum(2 * [10**308 * x]).op == "+"
 
 
 def test_long_chains_are_trees(graph):
