@@ -25,7 +25,7 @@ from dalembert.core import ffi, pointer
 from dalembert.symbolic import evaluation, printing
 
 BAR, U = 4.0, 2.0**-53
-KINDS = "sum product F P W J 0"
+KINDS = "sum product F P W J"
 
 Expr = Any
 
