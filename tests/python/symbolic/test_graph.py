@@ -3,7 +3,9 @@
 import itertools
 import operator
 import random
+import sys
 from fractions import Fraction
+from pathlib import Path
 
 import mpmath
 import numpy as np
@@ -14,6 +16,9 @@ from dalembert.symbolic.graph import Graph, below
 from dalembert.symbolic.printing import as_function, function
 from dalembert.symbolic.reading import Reader
 from dalembert.symbolic.values import may_vanish, values
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks/campaigns"))
+import evaluation  # noqa: E402
 
 U = 2.0**-53
 
@@ -58,6 +63,7 @@ def test_numbers_are_exact_unless_out_of_range(graph):
     assert (10**200 * product).args[1].op != "number"
     twice = graph.product([10**200, 10**200, x])
     assert values([twice], {"x": 1})[0] == mpmath.mpf(10) ** 400
+    assert graph.sum(2 * [10**308 * x]).op == "+"
 
 
 def test_long_chains_are_trees(graph):
@@ -114,22 +120,26 @@ def test_digits_of_smooth_steps():
         assert at(value)[0] == pytest.approx(expected, rel=8 * U, abs=0)
 
 
+def test_values_of_random_formulas():
+    """In Python and in C, against 50 digits; the campaign has hundreds."""
+    errors, _ = zip(*evaluation.campaign(40))
+    assert 0.1 < max(errors) <= evaluation.BAR
+
+
 def test_text_groups_as_the_graph():
-    """Differences and quotients, in all groupings, to the last bit."""
+    """Differences and quotients, in all groupings, in both languages."""
     a, b, c = symbols = sympy.symbols("a b c", real=True)
     forms = [
         a - (b - c), a - (b + c), (a - b) - c, a / (b * c), a / b / c, a / (b / c), -a * (b + c),
         -(a + b) * c, a * (b - c) - b * (c - a), -a / b - c, (a * b) ** 3 - c**-2, -(a**2) * -b,
         2 - a, -3 + a * -2, sympy.sqrt(a) ** -3, a ** sympy.Rational(5, 2), 1 / (3 + a / b),
     ]  # fmt: skip
-    at = function({"z": symbols}, forms)
-    source = np.random.default_rng(4)
-    for _ in range(20):
-        point = source.uniform(0.5, 2.0, 3)
-        exact = {s: sympy.Rational(x) for s, x in zip(symbols, point)}
-        for e, found in zip(forms, at(point)):
-            wanted = float(e.xreplace(exact))
-            assert abs(found - wanted) <= 64 * U * max(1.0, abs(wanted)), e
+    with mpmath.workdps(60):
+        at = dict(zip(symbols, (0.7, 1.9, 1.3)))
+        given = [evaluation.Case(e, at) for e in forms]
+        for evaluated in (evaluation.in_python, evaluation.in_c):
+            errors = [c.error(x) for c, x in zip(given, evaluated(given))]
+            assert max(errors) <= evaluation.BAR, forms[np.argmax(errors)]
 
 
 def test_operations_on_operations_of_the_same_strength(graph):
