@@ -165,7 +165,7 @@ class Graph:
         return self.make("symbol", value=name)
 
     def number(self, x: Number) -> Node:
-        return self.make("number", value=int(x) if x == int(x) else Fraction(x))
+        return self.make("number", value=x.numerator if x.denominator == 1 else x)
 
     def node(self, x: Node | Number) -> Node:
         return x if isinstance(x, Node) else self.number(x)
@@ -204,10 +204,11 @@ class Graph:
         found: dict[Node, Number] = {}
         for given in factors:
             factor, rest = _split(self.node(given))
-            if _is_in_range(number * factor):
-                number *= factor
-            else:
-                numbers.append(self.number(factor))
+            if factor != 1:
+                if _is_in_range(number * factor):
+                    number *= factor
+                else:
+                    numbers.append(self.number(factor))
             base, exponent = (rest.args[0], rest.value) if rest.op == "pow" else (rest, 1)
             if base is not self.one:
                 found[base] = found.get(base, 0) + exponent
@@ -238,9 +239,10 @@ class Graph:
         if factor == 1 or e.is_zero:
             return e
         inner, rest = _split(e)
-        if not _is_in_range(factor * inner):
-            return self.make("*", self.number(factor), e)
-        factor = factor * inner
+        if inner != 1:
+            if not _is_in_range(factor * inner):
+                return self.make("*", self.number(factor), e)
+            factor *= inner
         if factor < 0 and rest.op == "-":
             factor, rest = -factor, self.make("-", *rest.args[::-1])
         if rest is self.one or factor == 0:
@@ -263,7 +265,7 @@ class Graph:
                     return self.number(whole)
                 if factor != 1 and rest is not self.one and _is_in_range(whole):
                     return self.scaled(whole, self.power(rest, exponent))
-        value = int(exponent) if exponent.denominator == 1 else Fraction(exponent)
+        value = exponent.numerator if exponent.denominator == 1 else exponent
         return self.make("pow", base, value=value)
 
     # ---- functions -----------------------------------------------------------------------------
@@ -529,6 +531,8 @@ def _split(e: Node) -> tuple[Number, Node]:
 
 def _is_in_range(x: Number) -> bool:
     """Return whether a number is 0, or its double is neither infinite nor subnormal."""
+    if abs(x.numerator.bit_length() - x.denominator.bit_length()) < 1000:
+        return True  # as nearly always
     return x == 0 or _LEAST <= abs(x) <= _MOST
 
 
