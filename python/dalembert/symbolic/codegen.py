@@ -16,7 +16,7 @@ from .derive import Function
 from .graph import Node, below
 from .model import Model
 from .pattern import MOST, field_zeros, pattern
-from .printing import CUT, LANES, C, Program, Text, spelled
+from .printing import LANES, C, Program, Text, spelled
 
 GENERATOR = 4  # changes with what is generated, as the files of this module do
 
@@ -126,7 +126,7 @@ def program(
             _lanes(body, model)
         _compiled(body, model, lanes)
     if any("MODEL_CUT" in line for line in body.lines):
-        made.add(CUT)
+        made.add(_CUT)
     for helper, rest in _HELPERS.items():
         if any(f"{helper}(" in line for line in body.lines):
             made.add(f"static inline double {helper}{rest}")
@@ -156,6 +156,17 @@ _HELPERS = {
     "model_larger": "(double a, double b) { return a > b || a != a ? a : b; }",
     "model_smaller": "(double a, double b) { return a < b || a != a ? a : b; }",
 }
+
+
+# In long functions compilers take a time that grows with the square of the length.  After a cut all
+# values are in memory.
+_CUT = """#ifdef __GNUC__
+#define MODEL_CUT(part) __asm__ volatile("" : : "r"(part) : "memory")
+#else
+#define MODEL_CUT(part) (void)(part)
+#endif"""
+
+_BETWEEN_CUTS = 50  # statements; with more the time grows, and with less the length of the code
 
 
 # ---- callbacks ---------------------------------------------------------------------------------
@@ -190,11 +201,14 @@ def _function(
             made.add(f"    const {real} {symbol.name} = {place};")
     unused = [i for i in _names(signature) if i in _MAYBE_UNUSED]
     made.add("    " + ", ".join(f"(void){name}" for name in [*unused, "p"]) + ";")
-    text = Text(nodes, LANES if is_vector else C, is_cut=not is_few)
+    text = Text(nodes, LANES if is_vector else C, in_array=not is_few)
     place = len(made.lines)
     _outputs(made, model, function, outputs, text)
     if not is_few:
-        made.lines.insert(place, f"    {real} part[{text.count + 1}];")
+        lines, made.lines[place:] = made.lines[place:], [f"    {real} part[{text.count + 1}];"]
+        for k, line in enumerate(lines):
+            is_cut = k % _BETWEEN_CUTS == 0 and line.endswith(";")
+            made.lines += [line, "    MODEL_CUT(part);"] if is_cut else [line]
     made.add("    return 0;\n}\n")
     if function.name not in ("mass", "state", *_OF_STEPS) and not is_vector:
         names = ", ".join(_names(signature))

@@ -65,16 +65,6 @@ PYTHON = Style("{} = {}", {
     "not": "(not {})", "true": "True", "nan": "nan",
 })  # fmt: skip
 
-# In long functions compilers allocate registers in a time that grows with the square of the length.
-# After a cut all values are in memory.
-CUT = """#ifdef __GNUC__
-#define MODEL_CUT(part) __asm__ volatile("" : : "r"(part) : "memory")
-#else
-#define MODEL_CUT(part) (void)(part)
-#endif"""
-
-_BETWEEN_CUTS = 50  # definitions; with more the time grows, and with less the length of the code
-
 # ---- what languages have -------------------------------------------------------------------------
 
 
@@ -128,9 +118,8 @@ class Text:
     style : Style
     symbols : mapping of str to str, optional
         The texts of symbols that are not their names.
-    is_cut : bool, optional
-        Whether named parts are elements of an array of C, see `CUT`.  Then the time
-        of compiling is in proportion to the text.
+    in_array : bool, optional
+        Whether named parts are elements of an array of C.
 
     Attributes
     ----------
@@ -142,12 +131,12 @@ class Text:
 
     def __init__(
         self, nodes: Sequence[Node], style: Style, symbols: Mapping[str, str] | None = None,
-        is_cut: bool = False,
+        in_array: bool = False,
     ) -> None:  # fmt: skip
         self.style = style
         self.called: set[str] = set()
         self._symbols = symbols or {}
-        self._is_cut = is_cut
+        self._in_array = in_array
         self._uses = _uses(nodes)
         self._known: dict[Node, tuple[str, int]] = {}
         self.count = 0
@@ -169,13 +158,11 @@ class Text:
             is_number = _is_number(node)
             line = self.style.line.replace("dal_vec", "double") if is_number else self.style.line
             name = f"x{self.count}"
-            if self._is_cut and not is_number:
+            if self._in_array and not is_number:
                 name, line = f"part[{self.count}]", "{} = {};"
             lines.append(line.format(name, text))
             self._known[node] = name, _ATOM
             self.count += 1
-            if self._is_cut and self.count % _BETWEEN_CUTS == 0:
-                lines.append("MODEL_CUT(part);")
         return lines
 
     @property
