@@ -175,16 +175,15 @@ def rods(count: int = 100) -> Made:
 
 
 MODELS: dict[str, tuple[Callable[[], Made], float]] = {  # with the bars of their seconds
-    "bicycle": (bicycle, 60.0),
-    "bodies": (bodies, 75.0),
-    "cart": (lambda: cart(False), 45.0),
-    "cart_relative": (lambda: cart(True), 600.0),
-    "skates": (skates, 45.0),
-    "rods": (rods, 10.0),
+    "bicycle": (bicycle, 10.0),
+    "bodies": (bodies, 13.0),
+    "cart": (lambda: cart(False), 7.0),
+    "cart_relative": (lambda: cart(True), 20.0),
+    "skates": (skates, 4.0),
+    "rods": (rods, 4.0),
     **{name: (lambda name=name: (getattr(dal.systems, name), None), 3.0)
        for name in dal.systems.names_in_sympy()},
 }  # fmt: skip
-LONG = ["cart_relative"]  # by name only
 
 
 def first_step(name: str) -> dict[str, float]:
@@ -222,9 +221,7 @@ def measured(name: str, repeat: int) -> dict[str, float]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Seconds from a model to its first step.")
-    parser.add_argument(
-        "models", nargs="*", help=f"default: all of {', '.join(MODELS)}, but {', '.join(LONG)}"
-    )
+    parser.add_argument("models", nargs="*", help=f"default: all of {', '.join(MODELS)}")
     parser.add_argument("--json", type=Path, help="file to write the numbers to")
     parser.add_argument("--against", type=Path, help="file of --json, to print ratios to")
     parser.add_argument("--repeat", type=int, default=1, help="number of repetitions")
@@ -238,7 +235,7 @@ def main() -> int:
     before = json.loads(options.against.read_text()) if options.against else {}
     print(f"seconds of processor time{'python':>13}{'compiler':>10}{'both':>9}  {'bar':>5}")
     found, missed = {}, []
-    for name in options.models or (x for x in MODELS if x not in LONG):
+    for name in options.models or MODELS:
         times = found[name] = measured(name, options.repeat)
         both, bar = times["python"] + times["compiler"], MODELS[name][1]
         text = f"  {name:18} n = {times['n']:3d}, m = {times['m']:3d}"
