@@ -232,10 +232,16 @@ class _Derivation:
         unsure = [e for e in nodes if e.reach and not e.is_zero]
         doubtful = {e for e, x in zip(unsure, may_vanish(unsure, self.point)) if x}
         return [
-            e.is_zero
-            or (e in doubtful and _length(e) <= _LONGEST and is_zero(self.read.formula(e)))
+            e.is_zero or (e in doubtful and _length(e) <= _LONGEST and self.is_proved(e))
             for e in nodes
         ]
+
+    def is_proved(self, e: Node) -> bool:
+        """Return whether SymPy proves that a node is 0, and has a value for all its parts."""
+        try:
+            return is_zero(self.read.formula(e))
+        except (NotImplementedError, TypeError, ValueError):  # as of Max(1, 1/0)
+            return False
 
     def are_zero(self, nodes: Iterable[Node]) -> bool:
         return all(self.proved(list(nodes)))

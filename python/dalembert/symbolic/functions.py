@@ -23,13 +23,17 @@ _STRUCTURE = (
 )
 
 
+_NUMBERS = (sympy.Float, sympy.Rational)
+_WITH_VALUES = (sympy.Pow, sympy.Function)
+
+
 def require_known(
     expression: Expr, where: str, shown: Callable[[Expr], Expr] = lambda e: e
 ) -> None:
     """Raise ValueError if an expression has a part that cannot be compiled."""
     for e in sympy.preorder_traversal(expression):
         if isinstance(e, (*_STRUCTURE, *FUNCTIONS)):
-            if isinstance(e, sympy.Float | sympy.Rational):
+            if isinstance(e, _NUMBERS) or (isinstance(e, _WITH_VALUES) and e.is_number):
                 nearest(e, where)
             continue
         if isinstance(e, AppliedUndef):
@@ -51,12 +55,15 @@ def require_known(
 
 
 def nearest(x: Expr, where: str = "") -> float:
-    """Return the double nearest to a number; raise ValueError if it is out of range."""
+    """Return the double nearest to a number; raise ValueError if there is none."""
+    place = f"{where}{': ' * bool(where)}"
     try:
         found = x.p / x.q if x.is_Rational else float(x)
     except OverflowError:
         found = math.inf
+    except TypeError:
+        raise ValueError(f"{place}{x} is not a real number") from None
     if math.isinf(found) or (x != 0 and abs(found) < sys.float_info.min):
         size = "large" if math.isinf(found) else "small"
-        raise ValueError(f"{where}{': ' * bool(where)}{sympy.N(x, 5)} is too {size} for a double")
+        raise ValueError(f"{place}{sympy.N(x, 5)} is too {size} for a double")
     return found

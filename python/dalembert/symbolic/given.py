@@ -14,7 +14,9 @@ from ..core import arguments
 from .functions import require_known
 from .model import Model
 from .printing import function
-from .symbols import TIME, Coordinate, Rule, Time, Velocity, canonical, in_order, make_coordinates
+from .symbols import (
+    TIME, Canonical, Coordinate, Rule, Time, Velocity, canonical, in_order, make_coordinates,
+)  # fmt: skip
 from .zeros import PIECES, is_zero
 
 Expr = Any
@@ -89,7 +91,7 @@ def make_model(
     """Return the model and the values of its parameters; ValueError for unknown symbols."""
     L = _expression(L, "L")
     given = _constraints(constraints)
-    forces = None if force is None else _force(force)
+    forces = None if force is None else _force(force) or None
     pairs = _pairs(coordinates, L, [*_flat(given), *(forces or {}).values(),
                                            *(x for x in forces or {} if isinstance(x, sympy.Expr))])
     n = len(pairs)
@@ -241,6 +243,7 @@ class Translation:
         Without a clock the expression must not depend on time.
         """
         if with_inputs:
+            _refuse_rates_of(self.inputs, expression, where)
             expression = expression.xreplace(self.inputs)
         elif acting := sorted(str(u) for u in self.inputs if expression.has(u)):
             raise ValueError(
@@ -257,7 +260,7 @@ class Translation:
         if unknown:
             raise ValueError(f"{where}: {unknown.pop()} is not the velocity of a coordinate")
         # equal names, whatever the assumptions
-        own = Coordinate | Velocity | Time
+        own = Canonical | Coordinate | Velocity | Time
         plain = {s: s.name for s in found.free_symbols if not isinstance(s, own)}
         matching = {s: self.rule[name] for s, name in plain.items() if name in self.rule}
         for symbol in matching:
@@ -356,9 +359,23 @@ def _kind_and_name(symbol: Expr) -> tuple[type, str]:
 def _refuse_rates(expression: Expr, where: str) -> None:
     """Raise ValueError for Derivative(x, t) of a coordinate with velocity x.d, which would be 0."""
     for rate in expression.atoms(sympy.Derivative):
-        found = sorted(rate.expr.atoms(Coordinate), key=str)
-        if found and not all(isinstance(s, Coordinate) for s in rate.variables):
-            raise ValueError(f"{where}: {rate}: write {found[0].d} for the velocity of {found[0]}")
+        if all(isinstance(s, Coordinate | Velocity) for s in rate.variables):
+            continue
+        for x in sorted(rate.expr.atoms(Coordinate), key=str):
+            raise ValueError(f"{where}: {rate}: write {x.d} for the velocity of {x}")
+        if rate.has(Velocity):
+            raise ValueError(f"{where}: {rate} is an acceleration; expected velocities at most")
+
+
+def _refuse_rates_of(inputs: Iterable[Expr], expression: Expr, where: str) -> None:
+    """Raise ValueError for the derivative of an input, which would be 0."""
+    for rate in expression.atoms(sympy.Derivative):
+        for u in inputs:
+            if rate.has(u):
+                raise ValueError(
+                    f"{where}: {rate} is the rate of the input {u}, which is unknown; make the "
+                    "rate an input too"
+                )
 
 
 def initial_data(q0: Any, v0: Any) -> dict[str, list[Any]]:
@@ -466,6 +483,8 @@ def input_symbols(given: Any) -> dict[str, Expr]:
     found: dict[str, Expr] = {}
     for one in _several(given, "inputs"):
         is_function = isinstance(one, AppliedUndef) and len(one.args) == 1
+        if isinstance(one, Time):
+            raise ValueError("inputs: the time is known already; leave it out")
         if not is_function and not isinstance(one, sympy.Symbol):
             raise ValueError(f"inputs: {one!r}: expected a symbol or a dynamicsymbol")
         name = arguments.text(str(one.func) if is_function else one.name, "inputs")

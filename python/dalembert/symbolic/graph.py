@@ -340,7 +340,8 @@ class Graph:
                 known[branch] = self._gradient(branch, variables, known)
         return [
             (x, self.choose(condition, *(self._in_branch(b, known[b].get(x)) for b in branches)))
-            for x in variables if any(x in known[b] for b in branches)
+            for x in variables
+            if any(x in known[b] or (b is self.nan and e.reach & x.bit) for b in branches)
         ]  # fmt: skip
 
     def _in_branch(self, branch: Node, slope: Node | None) -> Node:
@@ -440,12 +441,15 @@ class Graph:
         """
 
         def rule(e: Node) -> Node:
-            if e.op != "pow" or e.value > 0 or not e.args[0].reach & WALL:
+            if e.op not in ("pow", "power") or not e.args[0].reach & WALL:
                 return e
-            (base,) = e.args
-            return self.power(
-                self.choose(self.make("!=", base, self.zero), base, self.one), e.value
-            )
+            base, *exponents = e.args
+            finite = self.make("!=", base, self.zero)
+            for y in exponents:
+                finite = self.make("or", finite, self.call("<=", self.zero, y))
+            if exponents or e.value < 0:
+                base = self.choose(finite, base, self.one)
+            return self.again(e, [base, *exponents])
 
         changed = iter(self.replaced([e for e in nodes if e.reach & WALL], {}, rule))
         return [next(changed) if e.reach & WALL else e for e in nodes]
@@ -577,7 +581,7 @@ _SLOPES: dict[str, Callable[..., tuple[Node, ...]]] = {
 
 
 def _bell(g: Graph, x: Node) -> Node:
-    return 2 * g.call("exp", -(x**2)) / g.call("sqrt", g.make("constant", value=sympy.pi))
+    return g.call("exp", -(x**2)) * g.make("constant", value=2 / sympy.sqrt(sympy.pi))
 
 
 def _slope_of_power(g: Graph, x: Node, y: Node) -> Node:

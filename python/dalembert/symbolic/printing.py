@@ -180,7 +180,8 @@ class Text:
 
     def _written(self, e: Node) -> tuple[str, int]:
         """Return the text of an operation, and how strongly it holds together."""
-        op, style = e.op, self.style
+        op = e.op
+        style = C if self.style.vector and _is_number(e) else self.style
         if op == "symbol":
             return self._symbols.get(e.value, e.value), _ATOM
         if op in ("number", "constant"):
@@ -194,12 +195,12 @@ class Text:
         if op == "/":
             return f"{self._part(e.args[0], _PRODUCT)} / {self._part(e.args[1], _ATOM)}", _PRODUCT
         parts = [self._known[a][0] for a in e.args]
-        if op not in _SIGNS:
+        if op not in _SIGNS and style is self.style:
             parts = [self._argument(a, part) for a, part in zip(e.args, parts)]
         if op in style.forms:
             return style.forms[op].format(*parts), _ATOM
         name = style.names.get(op, op)
-        if op not in ("fabs", "choose") and not name.startswith("model_"):
+        if style is self.style and op not in ("fabs", "choose") and not name.startswith("model_"):
             self.called.add(name)
         return style.call.format(name=name, args=", ".join(parts)), _ATOM
 

@@ -107,10 +107,22 @@ def in_order(found: Iterable[Coordinate]) -> list[Coordinate]:
     return [by_name[name] for name in order]
 
 
+class Canonical(sympy.Symbol):
+    """A symbol of the formulas of models, which no symbol of a user is equal to."""
+
+    __slots__ = ()
+
+    def __new__(cls, name: str) -> Any:
+        return sympy.Symbol.__xnew__(cls, name, real=True)
+
+    def __getnewargs_ex__(self) -> tuple[Any, ...]:
+        return (self.name,), {}
+
+
 @functools.cache
 def canonical(letter: str, count: int) -> tuple[Expr, ...]:
     """Return the symbols letter0, letter1, ..."""
-    return tuple(sympy.Symbol(f"{letter}{i}", real=True) for i in range(count))
+    return tuple(Canonical(f"{letter}{i}") for i in range(count))
 
 
 TIME = sympy.Symbol("t", real=True)

@@ -18,7 +18,7 @@ def values(nodes: Sequence[Node], point: Mapping[str, Any]) -> list[Any]:
     for e in below(nodes):
         try:
             found[e] = _value(e, [found[a] for a in e.args], point)
-        except (ArithmeticError, TypeError, ValueError):
+        except (ArithmeticError, AttributeError, TypeError, ValueError):  # as of a complex number
             found[e] = mpmath.nan
     return [found[e] for e in nodes]
 

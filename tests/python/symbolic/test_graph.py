@@ -13,7 +13,7 @@ import pytest
 import sympy
 
 from dalembert.symbolic.graph import Graph, below
-from dalembert.symbolic.printing import as_function, function
+from dalembert.symbolic.printing import LANES, Text, as_function, function, spelled
 from dalembert.symbolic.reading import Reader
 from dalembert.symbolic.values import may_vanish, values
 
@@ -64,6 +64,14 @@ def test_numbers_are_exact_unless_out_of_range(graph):
     twice = graph.product([10**200, 10**200, x])
     assert values([twice], {"x": 1})[0] == mpmath.mpf(10) ** 400
     assert graph.sum(2 * [10**308 * x]).op == "+"
+
+
+def test_numbers_in_lanes_are_numbers(graph):
+    x, root = graph.symbol("x"), graph.call("sqrt", graph.number(2))
+    nodes = spelled([root * x, root + x])
+    text = Text(nodes, LANES)
+    assert text.names(below(nodes), nodes) == ["const double x0 = sqrt(2.0);"]
+    assert not text.called
 
 
 def test_long_chains_are_trees(graph):

@@ -95,7 +95,8 @@ def timed():
     t, w = dal.time, sympy.Symbol("w")
     row = z.d - (y + sin(w * t) / 2) * x.d + tanh(x) * y.d
     force = {x: exp(-(x**2)) * cos(t), y: -y / (1 + x**2) ** Rational(3, 2)}
-    return dal.System.from_sympy(free(q) - z**2 / 2, [row], parameters={w: 2}, force=force)
+    L = free(q) - z**2 / 2 - sympy.erf(x + y) / 9
+    return dal.System.from_sympy(L, [row], parameters={w: 2}, force=force)
 
 
 def heavy():

@@ -788,6 +788,13 @@ def test_refused_by_name():
         (lambda: from_sympy(L, [y.d - t * x.d]), "constraints.0.: unknown symbol t"),
         (lambda: from_sympy(L, force={x: u}), r"force\[x\]: u\(t\) is an unknown function"),
         (lambda: from_sympy(L, force={x: u.diff(t)}), r"force\[x\]: Derivative\(u\(t\), t\) is no"),
+        (lambda: from_sympy(L, force={x: u + u.diff(t)}, inputs=[u]), "is the rate of the input u"),
+        (lambda: from_sympy(L, force={x: sympy.Derivative(x.d, t)}), "x.d, t. is an acceleration"),
+        (lambda: from_sympy(L, force={x: dal.time}, inputs=[dal.time]), "the time is known"),
+        (lambda: from_sympy(L - x * sympy.cosh(1000)), r"L: 9.8504E\+433 is too large"),
+        (lambda: from_sympy(L - x / sympy.cosh(1000)), "L: 1.0152E-434 is too small"),
+        (lambda: from_sympy(L - x * sympy.asin(2)), r"L: asin\(2\) is not a real number"),
+        (lambda: from_sympy(L - sympy.Symbol("q0", real=True)), "L: q0 is neither a coordinate"),
         (lambda: from_sympy(L, [y.d - u * x.d]), r"constraints\[0\]: u\(t\) is an unknown"),
         (lambda: from_sympy(L, force={x: m}), r"force\[x\]: m is neither a coordinate"),
         (lambda: from_sympy(L - z), r"L contains z\.d not at all or only linearly, so z has no m"),
@@ -874,6 +881,11 @@ def test_a_wall_whose_stiffness_is_infinite_at_its_edge(scheme, exponent):
             (kinetic, {x: -50 * power * sympy.Max(0, x - edge) ** (power - 1)}),
         ]
     ]  # fmt: skip
+    k = sympy.Symbol("k")
+    system = dal.System.from_sympy(
+        kinetic - 50 * sympy.Max(0, x - edge) ** k, form, parameters={k: float(power)}
+    )
+    runs.append(dal.integrate(system, scheme, [0, 1, 0], [1, 1, 1], h=0.01, steps=100))
     assert runs[0].q[-1, 0] < 0.8  # it has come back
     for run in runs[1:]:
         assert run.q == pytest.approx(runs[0].q, rel=1e-9, abs=1e-9)
@@ -913,6 +925,41 @@ def test_what_has_no_jump_after_all():
     ):  # fmt: skip
         with pytest.raises(ValueError, match="L: its derivative by [xy] needs DiracDelta"):
             dal.System.from_sympy((x.d**2 + y.d**2) / 2 - V)
+
+
+@pytest.mark.parametrize("name", ["q0", "v0", "q1", "u0", "w0"])
+@pytest.mark.parametrize("assumed", [{}, {"real": True}, {"positive": True}])
+def test_parameters_called_as_our_symbols(name, assumed):
+    """The rest length of a spring, of stiffness 1, is 2."""
+    x, y = dal.coordinates("x y")
+    rest = sympy.Symbol(name, **assumed)
+    L = (x.d**2 + y.d**2 - (x - rest) ** 2) / 2
+    system = dal.System.from_sympy(L, parameters={rest: 2}, force={y: -(x.d - rest)})
+    assert system.acceleration([5, 0], [7, 0]).tolist() == [-3, -5]
+
+
+def test_pieces_end_where_they_are_constant():
+    """Beyond the last condition the model is not defined, although its derivatives are 0."""
+    x, y = dal.coordinates("x y")
+    L = (x.d**2 + y.d**2) / 2 - x * y - sympy.Piecewise((1, x < y))
+    system = dal.System.from_sympy(L, force={})
+    assert system.acceleration([-5, 0], [0, 0]).tolist() == [0, 5] and not system.is_forced
+    with pytest.raises(dal.DomainError, match="gradient"):
+        system.acceleration([5, 0], [0, 0])
+
+
+@pytest.mark.parametrize("make", [
+    lambda x, y: (-sympy.atan2(1 + y, sympy.acosh(x)), []),
+    lambda x, y: (x.d**2 * sympy.Max(4, 1 / y, sympy.log(x)), []),
+    lambda x, y: (0, [y.d - sympy.Piecewise((x.d, 1 / x.d > 3), (2 * x.d, True))]),
+    lambda x, y: (-((1 + x**2) ** sympy.Piecewise((y, y >= 1))), []),
+])  # fmt: skip
+def test_models_that_are_not_defined_where_proofs_look(make):
+    """At 0, at rest, and where a condition holds: SymPy has no values there."""
+    x, y = dal.coordinates("x y")
+    more, rows = make(x, y)
+    system = dal.System.from_sympy((x.d**2 + y.d**2) / 2 + more, rows)
+    assert np.isfinite(system.acceleration([2, 1.5], system.project([2, 1.5], [0.3, 0.2]))).all()
 
 
 def test_names_that_are_taken_for_others():
