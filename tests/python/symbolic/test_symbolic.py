@@ -891,6 +891,18 @@ def test_a_wall_whose_stiffness_is_infinite_at_its_edge(scheme, exponent):
         assert run.q == pytest.approx(runs[0].q, rel=1e-9, abs=1e-9)
 
 
+def test_the_slopes_of_a_power_of_a_wall():
+    """f = y max(0, x)^k with k = 3/2: inside, at the edge, and outside, where all slopes are 0."""
+    x, y = dal.coordinates("x y")
+    k = sympy.Symbol("k")
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2, force={x: y * sympy.Max(0, x) ** k}, parameters={k: 1.5}
+    )
+    for at, slopes in ((4, [6, 8]), (0, [0, 0]), (-1, [0, 0])):
+        got = evaluate(system, "force", 0.0, np.array([at, 2.0]), np.zeros(2))
+        assert got["f_q"][:2].tolist() == slopes
+
+
 def test_a_barrier_still_refuses():
     x = dal.coordinates("x")[0]
     barrier = dal.System.from_sympy(x.d**2 / 2 - 1 / sympy.Max(0, x))
