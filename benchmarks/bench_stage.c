@@ -27,7 +27,7 @@ static const pair_of pairs[] = {
     {"sleigh", 3, 4, false},
 };
 
-/* What is timed: all from state, with steps of size h. */
+/* The functions that are timed; all start from state, with steps of size h. */
 typedef struct bench {
     const pair_of *pair;
     hand_fn *compensated, *plain; /* of hand_stages.h */

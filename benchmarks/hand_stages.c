@@ -40,10 +40,11 @@ static inline double largest(double x, double y, double z)
     return larger(larger(fabs(x), fabs(y)), fabs(z));
 }
 
-/* mu = (-y, 0, 1), M = 1, V = (k1 x^2 + k2 y^2 + k3 z^2)/2; p = (k1, k2, k3). */
-HAND(particle_oscillator)
+/* mu = (a, 0, c), of which one is 1 and the other one depends on y, and M = 1: the loop of both
+ * oscillators, with V = (k1 x^2 + k2 y^2 + k3 z^2)/2, p = (k1, k2, k3) and mu = (-y, 0, 1), or with
+ * contact V = (x^2 + y^2 + z^2 + eps x^2 z^2)/2, p = (eps) and mu = (1, 0, y). */
+HAND_INLINE void oscillator(bool contact, bool compensated, HAND_ARGUMENTS)
 {
-    const double k1 = p[0], k2 = p[1], k3 = p[2];
     hand_sum x = hand_sum_of(state[0]), y = hand_sum_of(state[1]), z = hand_sum_of(state[2]);
     hand_sum vx = hand_sum_of(state[3]), vy = hand_sum_of(state[4]), vz = hand_sum_of(state[5]);
     for (size_t k = 0; k < steps; k++)
@@ -53,19 +54,24 @@ HAND(particle_oscillator)
             hand_way to_x = hand_pass(x, xk, wx), to_y = hand_pass(y, yk, wy);
             hand_way to_z = hand_pass(z, zk, wz);
             hand_way ux = hand_start(vx), uy = hand_start(vy), uz = hand_start(vz);
-            hand_go(&ux, -(s->span * (k1 * xk)));
-            hand_go(&uy, -(s->span * (k2 * yk)));
-            hand_go(&uz, -(s->span * (k3 * zk)));
+            const double fx = contact ? xk * (1.0 + p[0] * (zk * zk)) : p[0] * xk;
+            const double fy = contact ? yk : p[1] * yk;
+            const double fz = contact ? zk * (1.0 + p[0] * (xk * xk)) : p[2] * zk;
+            hand_go(&ux, -(s->span * fx));
+            hand_go(&uy, -(s->span * fy));
+            hand_go(&uz, -(s->span * fz));
             hand_end(compensated, &vy, uy);
             hand_go(&to_y, s->after * vy.x);
             hand_end(compensated, &y, to_y);
+            const double ak = contact ? 1.0 : -yk, ck = contact ? yk : 1.0;
+            const double a = contact ? 1.0 : -y.x, c = contact ? y.x : 1.0;
             const double share = 1.0 / (1.0 + y.x * yk), scale = ALLOWED(3) * (1.0 + fabs(y.x));
-            double lack = y.x * ux.next - uz.next;
+            double lack = -(a * ux.next + c * uz.next);
             do {
                 const double kappa = lack * share;
-                hand_go(&ux, -yk * kappa);
-                hand_go(&uz, kappa);
-                lack = y.x * ux.next - uz.next;
+                hand_go(&ux, ak * kappa);
+                hand_go(&uz, ck * kappa);
+                lack = -(a * ux.next + c * uz.next);
             } while (fabs(lack) > scale * largest(ux.next, vy.x, uz.next));
             hand_end(compensated, &vx, ux);
             hand_end(compensated, &vz, uz);
@@ -78,42 +84,14 @@ HAND(particle_oscillator)
     state[3] = vx.x, state[4] = vy.x, state[5] = vz.x;
 }
 
-/* mu = (1, 0, y), M = 1, V = (x^2 + y^2 + z^2 + eps x^2 z^2)/2; p = (eps). */
+HAND(particle_oscillator)
+{
+    oscillator(false, compensated, steps, count, stage, p, state);
+}
+
 HAND(contact_oscillator)
 {
-    const double eps = p[0];
-    hand_sum x = hand_sum_of(state[0]), y = hand_sum_of(state[1]), z = hand_sum_of(state[2]);
-    hand_sum vx = hand_sum_of(state[3]), vy = hand_sum_of(state[4]), vz = hand_sum_of(state[5]);
-    for (size_t k = 0; k < steps; k++)
-        for (const hand_stage *s = stage, *const end = stage + count; s < end; s++) {
-            const double wx = s->before * vx.x, wy = s->before * vy.x, wz = s->before * vz.x;
-            const double xk = x.x + wx, yk = y.x + wy, zk = z.x + wz;
-            hand_way to_x = hand_pass(x, xk, wx), to_y = hand_pass(y, yk, wy);
-            hand_way to_z = hand_pass(z, zk, wz);
-            hand_way ux = hand_start(vx), uy = hand_start(vy), uz = hand_start(vz);
-            hand_go(&ux, -(s->span * (xk * (1.0 + eps * (zk * zk)))));
-            hand_go(&uy, -(s->span * yk));
-            hand_go(&uz, -(s->span * (zk * (1.0 + eps * (xk * xk)))));
-            hand_end(compensated, &vy, uy);
-            hand_go(&to_y, s->after * vy.x);
-            hand_end(compensated, &y, to_y);
-            const double share = 1.0 / (1.0 + y.x * yk), scale = ALLOWED(3) * (1.0 + fabs(y.x));
-            double lack = -(ux.next + y.x * uz.next);
-            do {
-                const double kappa = lack * share;
-                hand_go(&ux, kappa);
-                hand_go(&uz, yk * kappa);
-                lack = -(ux.next + y.x * uz.next);
-            } while (fabs(lack) > scale * largest(ux.next, vy.x, uz.next));
-            hand_end(compensated, &vx, ux);
-            hand_end(compensated, &vz, uz);
-            hand_go(&to_x, s->after * vx.x);
-            hand_go(&to_z, s->after * vz.x);
-            hand_end(compensated, &x, to_x);
-            hand_end(compensated, &z, to_z);
-        }
-    state[0] = x.x, state[1] = y.x, state[2] = z.x;
-    state[3] = vx.x, state[4] = vy.x, state[5] = vz.x;
+    oscillator(true, compensated, steps, count, stage, p, state);
 }
 
 /* mu = (sin theta, -cos theta, 0), M = diag(m, m, J), V = -m gs x; p = (m, J, gs).  The reaction

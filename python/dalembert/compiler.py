@@ -397,9 +397,9 @@ def library(
 ) -> Library | None:
     """Return the library of a model, from the cache or compiled; None without a compiler.
 
-    ``key`` is a digest of the model, ``versions`` are those of the code that derives the program
-    from it.  ``program()`` returns the source; it is called if the library has to be compiled.  A
-    library with ``lanes`` is for all processors.  Raises CompilerError if the compiler rejects the
+    ``key`` is a digest of the model, ``versions`` are those of the code that generates programs.
+    ``program()`` returns the source; it is called if the library has to be compiled.  A library
+    with ``lanes`` is for all processors.  Raises CompilerError if the compiler rejects the
     program.
     """
     compiler = find()

@@ -366,8 +366,8 @@ class Ensemble(Mapping[str, Any]):
         Parameters
         ----------
         k : int or tuple of int
-            Number of the member, or its place along the axes of ``shape``; negative numbers count
-            from the end.
+            Number of the member, or its place along the axes of ``shape``.  Negative numbers
+            count from the end.
         stride : int, optional
             As for `integrate`.  Default: that of the ensemble, or 1 if only the end was kept.
         throw : bool, optional

@@ -45,9 +45,9 @@ class Chart(core.Constant):
 
     B denotes the columns of mu(q) for the dependent coordinates, and A is B^-1 times the others.
     On D, v_dependent = -A v_independent (the Ehresmann connection).  Affine constraints add a term.
-    For nonlinear constraints mu is dphi/dv, and Newton's iteration computes v_dependent, starting
-    from the state at which the chart was created.  For m = n no velocity is independent: xi is q,
-    and its field is the prescribed velocity.
+    For nonlinear constraints mu is dphi/dv, and Newton's iteration computes v_dependent; it
+    starts at the state for which the chart was created.  For m = n no velocity is independent: xi
+    is q, and its field is the prescribed velocity.
 
     D may depend on time; the dependent coordinates are the same at all times.
 

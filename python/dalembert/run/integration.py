@@ -297,8 +297,8 @@ def _say(doubt: str, stacklevel: int) -> None:
 def doubt_start(system: System, x: Array, t: float, consistency: int = lib.DAL_CHECK) -> None:
     """Warn of initial data that spoil every run, unless assumed consistent.
 
-    They violate a position constraint, or a coordinate is so large that the acceleration differs
-    from one double to the next.
+    They violate a position constraint, or a coordinate is so large that the acceleration is
+    another one at the next double.
     """
     if consistency == lib.DAL_ASSUME:
         return

@@ -500,7 +500,7 @@ class Solution(Mapping[str, Any]):
         nodes, to roundoff.  With respect to the distance of the stored states, their error has the
         order of the scheme, up to 4.  A stored state is returned unchanged.
 
-        If the step size varies, or there are inputs, the states are computed by steps of the scheme
+        If the step size varies, or there are inputs, steps of the scheme lead to the states, each
         from the stored state before.  They have the error of the run.  Each costs one step, or as
         many as there are between two stored states.
 

@@ -207,7 +207,7 @@ def _function(
     if not is_few:
         lines, made.lines[place:] = made.lines[place:], [f"    {real} part[{text.count + 1}];"]
         for k, line in enumerate(lines):
-            is_cut = k % _BETWEEN_CUTS == 0 and line.endswith(";")
+            is_cut = (k + 1) % _BETWEEN_CUTS == 0 and line.endswith(";")
             made.lines += [line, "    MODEL_CUT(part);"] if is_cut else [line]
     made.add("    return 0;\n}\n")
     if function.name not in ("mass", "state", *_OF_STEPS) and not is_vector:

@@ -243,7 +243,7 @@ class Translation:
         Without a clock the expression must not depend on time.
         """
         if with_inputs:
-            _refuse_rates_of(self.inputs, expression, where)
+            _refuse_rates(expression, where, self.inputs)
             expression = expression.xreplace(self.inputs)
         elif acting := sorted(str(u) for u in self.inputs if expression.has(u)):
             raise ValueError(
@@ -356,26 +356,22 @@ def _kind_and_name(symbol: Expr) -> tuple[type, str]:
     return type(symbol), str(symbol)
 
 
-def _refuse_rates(expression: Expr, where: str) -> None:
-    """Raise ValueError for Derivative(x, t) of a coordinate with velocity x.d, which would be 0."""
+def _refuse_rates(expression: Expr, where: str, inputs: Iterable[Expr] = ()) -> None:
+    """Raise ValueError for Derivative(x, t) of a coordinate with velocity x.d, of a velocity, and
+    of an input, which would be 0.
+    """
     for rate in expression.atoms(sympy.Derivative):
-        if all(isinstance(s, Coordinate | Velocity) for s in rate.variables):
+        if not any(_is_time(s) and not isinstance(s, Velocity) for s in rate.variables):
             continue
         for x in sorted(rate.expr.atoms(Coordinate), key=str):
             raise ValueError(f"{where}: {rate}: write {x.d} for the velocity of {x}")
         if rate.has(Velocity):
             raise ValueError(f"{where}: {rate} is an acceleration; expected velocities at most")
-
-
-def _refuse_rates_of(inputs: Iterable[Expr], expression: Expr, where: str) -> None:
-    """Raise ValueError for the derivative of an input, which would be 0."""
-    for rate in expression.atoms(sympy.Derivative):
-        for u in inputs:
-            if rate.has(u):
-                raise ValueError(
-                    f"{where}: {rate} is the rate of the input {u}, which is unknown; make the "
-                    "rate an input too"
-                )
+        for u in filter(rate.has, inputs):
+            raise ValueError(
+                f"{where}: {rate} is the rate of the input {u}, which is unknown; make the rate "
+                "an input too"
+            )
 
 
 def initial_data(q0: Any, v0: Any) -> dict[str, list[Any]]:

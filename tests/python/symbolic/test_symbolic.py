@@ -521,6 +521,10 @@ def test_the_derivative_by_time_is_written_d():
     assert x.diff(x) == 1 and x.diff(y) == 0 and x.diff(sympy.Symbol("m")) == 0
     made = dal.System.from_sympy(x.d**2 + y.d**2 - sympy.Derivative(x**2, x))
     assert made.formulas[0] == "L = v_x^2 + v_y^2 - 2 x"
+    u = sympy.Symbol("u")  # slopes by coordinates and velocities are no rates
+    force = {x: sympy.Derivative(u * x, x) + sympy.Derivative(x.d**2, x.d)}
+    made = dal.System.from_sympy((x.d**2 + y.d**2) / 2, force=force, inputs=[u])
+    assert made.acceleration([0, 0], [3, 0], inputs=[4]).tolist() == [10, 0]
 
 
 def test_keys_tell_models_apart():
