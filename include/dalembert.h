@@ -172,6 +172,7 @@ typedef enum dal_missing {
 } dal_missing;
 
 struct dal_compiled; /* dalembert/kernel.h */
+struct dal_series;   /* dalembert/series.h */
 
 /* The entries that may be nonzero in phi_v or in phi_q, sorted by row and then by column. */
 typedef struct dal_sparsity {
@@ -231,6 +232,7 @@ typedef struct dal_system_def {
     const struct dal_compiled *compiled; /* the step routine compiled for this system, or NULL.  It
                                             computes the steps of moved nodes.  Not with a sparsity
                                             or missing derivatives */
+    const struct dal_series *series; /* the Taylor series compiled for this system, or NULL */
     int steady;                     /* a dal_steady or 0; nonzero only for constant mass, linear
                                        constraints, and not time_dependent */
     int time_dependent;             /* 1: a callback besides the force depends on t, and provides
@@ -329,6 +331,11 @@ typedef struct dal_flow_scheme {
     dal_flow_method method;
     double tolerance; /* as for dal_flow_new; 0: 1e-13 */
 } dal_flow_scheme;
+
+/* The data of the scheme "taylor"; NULL means the defaults. */
+typedef struct dal_taylor_scheme {
+    double tolerance; /* of a step, relative to the change of each coordinate; 0: 1e-15 */
+} dal_taylor_scheme;
 
 /* Options of a stepper; a zero-initialised record has the defaults. */
 typedef struct dal_options {

@@ -71,7 +71,7 @@ _LIBMVEC = (("v_sin", "v_cos", "v_exp", "v_log", "vv_pow"), ("v_tan", "v_erf", "
 
 HEADERS = (
     "arrays.h", "dalembert.h", "field.h", "kernel.h", "lanes.h", "lu.h", "momentum.h", "residual.h",
-    "rows.h", "stage.h", "stepper.h",
+    "rows.h", "series.h", "stage.h", "stepper.h",
 )  # fmt: skip
 
 # Seconds after which a compiler is taken to hang; a large model takes some.

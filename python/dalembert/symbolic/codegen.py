@@ -13,10 +13,13 @@ from typing import Any
 
 from .constructor import constructor
 from .derive import Function
+from .expansion import expansion
 from .graph import Node, below
 from .model import Model
+from .motion import motion
 from .pattern import MOST, field_zeros, pattern
 from .printing import LANES, C, Program, Text, spelled
+from .recurrences import NoSeriesError
 
 GENERATOR = 4  # changes with what is generated, as the files of this module do
 
@@ -105,7 +108,7 @@ def program(
         " * constraints.  Compile with -ffp-contract=off: then all compilations of the step\n"
         " * routine give the same bits. */\n"
         "#include <dalembert.h>" + "\n#include <dalembert/kernel.h>" * fast
-        + "\n#include <dalembert/lanes.h>" * lanes
+        + "\n#include <dalembert/lanes.h>" * lanes + "\n#include <dalembert/series.h>"
         + "\n#include <math.h>\n#include <stddef.h>\n"
     )  # fmt: skip
     own_field = fast and model.n <= MOST  # in large models it would gain nothing
@@ -125,6 +128,7 @@ def program(
         if lanes:
             _lanes(body, model)
         _compiled(body, model, lanes)
+    has_series = not lanes and _series(body, model)
     if any("MODEL_CUT" in line for line in body.lines):
         made.add(_CUT)
     for helper, rest in _HELPERS.items():
@@ -136,6 +140,8 @@ def program(
     if model.parameters:
         _parameters(made, model)
     definition = _definition(model, fast, compact)
+    if has_series:
+        definition.append(".series = &model_series")
     if name is None:
         _for_the_package(made, model, definition)
     else:
@@ -386,6 +392,15 @@ def _compiled(made: Program, model: Model, lanes: bool) -> None:
         f"{'model_lanes' if lanes else 'NULL'}, "
         f"{'model_field' if model.n <= MOST else 'NULL'}}};\n"
     )
+
+
+def _series(made: Program, model: Model) -> bool:
+    """Write the Taylor series; return whether the model has them."""
+    try:
+        expansion(made, model, motion(model))
+    except NoSeriesError:
+        return False
+    return True
 
 
 _INSIDE = {

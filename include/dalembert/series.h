@@ -1,0 +1,139 @@
+/* series.h - Taylor series of motions, for generated code.
+ *
+ * The numbers y[states] are the coordinates q[n] and w[states - n], from which v = E(t, q) w + e(t,
+ * q) follows.  Where D has such an E, w are n - m quasi-velocities, and v is in D for all w.
+ * Otherwise w is v.  The coefficient Y_k of order k is that of s^k in y(t + s unit), so all of
+ * them are of the same size if the unit is about the length of a step.
+ *
+ * The coefficient of order k of each product, quotient and function is a convolution, sum_j A_j
+ * B_(k-j).  Its middle part, j = 1 ... k-1, has lower orders only.  So the middle parts of all
+ * convolutions of order k are computed together, four in a vector.  The elements of vectors are
+ * computed like scalars, so all processors give the same bits.  Header only: generated code has no
+ * library to link. */
+#ifndef DALEMBERT_SERIES_H
+#define DALEMBERT_SERIES_H
+
+#include <dalembert/lu.h>
+
+#include <math.h>
+#include <stddef.h>
+
+/* The highest order, and how many of the last coefficients determine the size of a step. */
+enum { DAL_SERIES_MOST = 40, DAL_SERIES_LAST = 4 };
+
+/* Where a series begins. */
+typedef struct dal_series_at {
+    double t, t_low;       /* the time, and the part of it below the last digit of t */
+    double unit;           /* of the coefficients, a power of 2 */
+    const double *y, *low; /* [width], likewise */
+    const double *u;       /* [inputs] */
+} dal_series_at;
+
+/* The series of a system.  The pointer p is ctx of its definition. */
+#define DAL_SERIES_ABI 1u
+typedef struct dal_series {
+    unsigned abi;    /* DAL_SERIES_ABI, as the compiler saw it */
+    size_t states;   /* of y; the arrays of y have a multiple of four numbers: */
+    size_t width;
+    size_t room;     /* numbers of workspace for each order */
+    int in_D;        /* 1: v is in D for all y; 0: w is v */
+    int is_branched; /* 1: a function has branch points, which a series can pass unnoticed */
+    /* Y[(order + 1)*width] <- the coefficients; work[(order + 1)*room].  Both are aligned to 64. */
+    void (*expand)(const dal_series_at *at, size_t order, double *Y, double *work, const void *p);
+    /* decay[DAL_SERIES_LAST] <- the largest |Y_k| of all states, relative to the largest of the
+     * first coefficients of that state, for k = order - 3 ... order. */
+    void (*decay)(size_t order, const double *Y, double *decay);
+    /* change[width] <- y(t + s unit) - y(t) by the coefficients up to an order. */
+    void (*sum)(size_t order, double s, const double *Y, double *change);
+    /* v[n] <- the velocity of y; w[states - n] <- that of x[2n]. */
+    void (*velocity)(double t, const double *y, const double *u, double *v, const void *p);
+    void (*quasi)(double t, const double *x, const double *u, double *w, const void *p);
+} dal_series;
+
+#ifdef __GNUC__
+typedef double dal_four __attribute__((vector_size(32), may_alias));
+
+/* x/k.  Up to order 9 the rounding of 1/k would be a bias of the motion, and its energy would
+ * drift. */
+enum { DAL_SERIES_EXACT = 10 };
+DAL_LU_INLINE double dal_series_over(double x, size_t k, double inverse)
+{
+    return k < DAL_SERIES_EXACT ? x / (double)k : x * inverse;
+}
+
+/* The rounding error of product = a b. */
+DAL_LU_INLINE double dal_series_rest(double a, double b, double product)
+{
+    const double both = 0x1p27 + 1.0, x = both * a, y = both * b;
+    const double a1 = x - (x - a), b1 = y - (y - b), a2 = a - a1, b2 = b - b1;
+    return ((a1 * b1 - product) + a1 * b2 + a2 * b1) + a2 * b2;
+}
+
+/* dal_series_middle for up to four of the vectors, whose sums are in registers. */
+DAL_LU_INLINE void dal_series_part(size_t k, size_t vectors, size_t count, const dal_four *A,
+                                   const dal_four *B, dal_four *M)
+{
+    dal_four sum[4] = {{0.0}}, other[4] = {{0.0}};
+    size_t j = k / 2, i = k - j;
+    if (i == j) {
+#pragma GCC unroll 4
+        for (size_t c = 0; c < count; c++) sum[c] = A[j * vectors + c] * B[j * vectors + c];
+        j--, i++;
+    }
+    for (; j > 0; j--, i++) { /* the smallest terms come first in convergent series */
+#pragma GCC unroll 4
+        for (size_t c = 0; c < count; c++) {
+            sum[c] += A[j * vectors + c] * B[i * vectors + c];
+            other[c] += A[i * vectors + c] * B[j * vectors + c];
+        }
+    }
+#pragma GCC unroll 4
+    for (size_t c = 0; c < count; c++) M[c] = sum[c] + other[c];
+}
+
+/* M[vectors] <- sum_j A_j B_(k-j), j = 1 ... k-1, for A[k*vectors] and B[k*vectors]. */
+DAL_LU_INLINE void dal_series_middle(size_t k, size_t vectors, const dal_four *A,
+                                     const dal_four *B, dal_four *M)
+{
+    size_t c = 0;
+    for (; c + 4 <= vectors; c += 4) dal_series_part(k, vectors, 4, A + c, B + c, M + c);
+    if (vectors % 4) dal_series_part(k, vectors, vectors % 4, A + c, B + c, M + c);
+}
+
+DAL_LU_INLINE void dal_series_sum(size_t width, size_t order, double s, const double *Y,
+                                  double *change)
+{
+    const dal_four *const coefficients = (const dal_four *)Y;
+    const size_t vectors = width / 4;
+    const double square = s * s;
+    for (size_t c = 0; c < vectors; c++) { /* Horner's sums of odd and of even powers */
+        const dal_four *const at = coefficients + c;
+        dal_four one = at[order * vectors], other = at[(order - 1) * vectors];
+        size_t k = order - 2;
+        for (; k > 1; k -= 2) {
+            one = one * square + at[k * vectors];
+            other = other * square + at[(k - 1) * vectors];
+        }
+        if (k == 1) one = one * square + at[vectors];
+        ((dal_four *)change)[c] = k == 1 ? one * s + other * square : one * square + other * s;
+    }
+}
+
+DAL_LU_INLINE double dal_series_largest(double a, double b) { return a > b || a != a ? a : b; }
+
+DAL_LU_INLINE void dal_series_decay(size_t width, size_t order, const double *Y, double *decay)
+{
+    for (size_t l = 0; l < DAL_SERIES_LAST; l++) decay[l] = 0.0;
+    for (size_t i = 0; i < width; i++) {
+        double size = 0.0;
+        for (size_t k = 1; k <= order && (k <= 3 || size == 0.0); k++)
+            size = dal_series_largest(fabs(Y[k * width + i]), size);
+        const double per = size == 0.0 ? 0.0 : 1.0 / size;
+        for (size_t l = 0; l < DAL_SERIES_LAST; l++)
+            decay[l] = dal_series_largest(
+                per * fabs(Y[(order - DAL_SERIES_LAST + 1 + l) * width + i]), decay[l]);
+    }
+}
+#endif
+
+#endif /* DALEMBERT_SERIES_H */

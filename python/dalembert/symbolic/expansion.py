@@ -1,0 +1,354 @@
+"""C of the Taylor series of a model, see series.h."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from .graph import CONDITIONS, Node, below
+from .model import Model
+from .motion import Motion
+from .printing import C, Program, Text, nearest, spelled
+from .recurrences import ENDLESS, RULES, Operand, Series
+from .symbols import TIME
+
+
+class Writer:
+    """The text in C of the coefficients, as statements of ``expand`` of series.h.
+
+    Parameters
+    ----------
+    series : Series
+    places : mapping of str to str
+        Where the values of symbols are, by name.
+    low : mapping of str to str
+        Where their parts below the last digit are.
+    """
+
+    def __init__(
+        self, series: Series, places: Mapping[str, str], low: Mapping[str, str]
+    ) -> None:
+        self.series, self._places, self._below = series, places, low
+        self._number = {e: i for i, e in enumerate(series.nodes)}
+        self.vectors = -(-len(series.pairs) // 4)
+        self.width = -(-len(series.states) // 4) * 4
+        self._low: dict[Node, str | None] = {}
+
+    def lines(self) -> list[str]:
+        """Return all statements."""
+        series, found = self.series, [*self._first()]
+        states = list(series.states)
+        live = [e for e in series.nodes if series.degree[e] > 0]
+        found += [f"const double r{self._number[e]} = {x};" for e in live if (x := self._over(e))]
+        found += [f"const double f{self._number[e]} = {self._slope(e)};" for e in live
+                  if series.degree[e] == 1]  # fmt: skip
+        found += [f"double b{self._number[e]} = {self.zeroth(e)};" for e in self._before()]
+        for i, (x, rate) in enumerate(series.states.items()):
+            found.append(f"Y[{i}] = {self.zeroth(x)};")
+            found.append(f"double d{i} = unit * {self._part(rate)};")
+        found += [f"Y[{i}] = 0.0;" for i in range(len(states), self.width)]
+        found.append("for (size_t k = 1; k < order; k++) {")
+        found += [f"    {line}" for line in self._loop()]
+        found.append("}")
+        last = "dal_series_over(d{0}, order, 1.0 / (double)order)"
+        found += [f"Y[order * {self.width} + {i}] = {last.format(i)};" for i in range(len(states))]
+        found += [f"Y[order * {self.width} + {i}] = 0.0;" for i in range(len(states), self.width)]
+        return found
+
+    def _before(self) -> list[Node]:
+        """Return the series whose coefficient of the order before is needed."""
+        series, found = self.series, dict[Node, None]()
+        for e in series.nodes:
+            if series.degree[e] < ENDLESS or e in series.states:
+                continue
+            if e.op == "*":
+                found |= {b: None for a, b in (e.args, e.args[::-1]) if series.degree[a] == 1}
+            elif e.op == "/" and series.degree[e.args[1]] == 1:
+                found[e] = None
+            elif e.op in RULES and series.degree[e.args[0]] == 1:
+                if not RULES[e.op].is_quotient:
+                    found[series.other[e]] = None
+        return list(found)
+
+    # order 0
+
+    def _first(self) -> list[str]:
+        found = []
+        for e in self.series.nodes:
+            if e.op in ("number", "constant", "nan"):
+                continue
+            kind = "int" if e.op in CONDITIONS else "double"
+            found.append(f"const {kind} a{self._number[e]} = {self._value(e)};")
+            if e.op in ("sin", "cos") and (low := self.low(e.args[0])):
+                pair, sign = ("cos", "+") if e.op == "sin" else ("sin", "-")
+                angle, name = self.zeroth(e.args[0]), f"a{self._number[e]}"
+                found[-1] = (
+                    f"const double {name} = {e.op}({angle}) {sign} {low} * {pair}({angle});"
+                )
+            self._low_part(e, found)
+        return found
+
+    def _value(self, e: Node) -> str:
+        if e.op == "symbol":
+            return self._places[e.value]
+        args = [self.zeroth(a) for a in e.args]
+        if e.op in ("+", "-", "*", "/"):
+            return f" {e.op} ".join(f"({x})" if x[0] == "-" else x for x in args)
+        if e.op in C.forms:
+            return C.forms[e.op].format(*args)
+        return f"{C.names.get(e.op, e.op)}({', '.join(args)})"
+
+    def zeroth(self, e: Node) -> str:
+        """Return the name, or the text, of the coefficient of order 0."""
+        if e.op in ("number", "constant"):
+            return repr(nearest(e))
+        return "NAN" if e.op == "nan" else f"a{self._number[e]}"
+
+    def _part(self, e: Node) -> str:
+        text = self.zeroth(e)
+        return f"({text})" if text[0] == "-" else text
+
+    def low(self, e: Node) -> str | None:
+        """Return the part of a value below its last digit, None if it is not known."""
+        return self._low.get(e)
+
+    def _low_part(self, e: Node, found: list[str]) -> None:
+        """Add the low part of a state, of sums of states, and of multiples of a state.
+
+        So an angle of many turns has the sine of the angle, not that of its rounding.
+        """
+        name, number = f"a{self._number[e]}", self._number[e]
+        if e.op == "symbol":
+            if place := self._below.get(e.value):
+                self._low[e] = place
+        elif e.op in ("+", "-"):
+            parts = [self._low.get(a) for a in e.args]
+            if not any(parts):
+                return
+            a, b = map(self._part, e.args)
+            sign = e.op
+            back = f"z{number}"
+            lows = f"{parts[0] or '0.0'} {sign} {parts[1] or '0.0'}"
+            found.append(f"const double {back} = {name} - {a};")
+            found.append(
+                f"const double l{number} = ({a} - ({name} - {back})) + ({sign}{b} - {back}) "
+                f"+ ({lows});"
+            )
+            self._low[e] = f"l{number}"
+        elif e.op == "*":
+            for one, other in (e.args, e.args[::-1]):
+                if (low := self._low.get(one)) and self.series.degree[other] == 0:
+                    a, b = self._part(one), self._part(other)
+                    found.append(
+                        f"const double l{number} = dal_series_rest({a}, {b}, {name}) "
+                        f"+ {b} * {low};"
+                    )
+                    self._low[e] = f"l{number}"
+                    return
+
+    # higher orders
+
+    def _slope(self, e: Node) -> str:
+        """Return the coefficient of order 1 of a linear series."""
+        series = self.series
+        if e in series.states:
+            return f"unit * {self._part(series.states[e])}"
+        if e is series.time:
+            return "unit"
+        slopes = [f"f{self._number[a]}" if series.degree[a] == 1 else None for a in e.args]
+        if e.op in ("+", "-"):
+            if not slopes[0]:
+                return slopes[1] if e.op == "+" else f"-{slopes[1]}"
+            return " ".join([slopes[0], e.op, slopes[1]] if slopes[1] else slopes[:1])
+        one, other = (x or self._part(a) for x, a in zip(slopes, e.args))
+        return f"{one} {e.op} {other}"
+
+    def kth(self, e: Node) -> str | None:
+        """Return the coefficient of order k, None if it is 0."""
+        if self.series.degree[e] == 0:
+            return None
+        return f"c{self._number[e]}"
+
+    def _over(self, e: Node) -> str | None:
+        """Return the divisor of a recurrence, inverted."""
+        if self.series.degree[e] < ENDLESS or e in self.series.states:
+            return None
+        if e.op == "/":
+            return f"1.0 / {self._part(e.args[1])}"
+        if e.op == "sqrt":
+            return f"0.5 / {self.zeroth(e)}"
+        if e.op == "power":
+            return f"1.0 / {self._part(e.args[0])}"
+        if e.op == "atan2" or (e.op in RULES and RULES[e.op].is_quotient):
+            return f"1.0 / {self._part(self.series.other[e])}"
+        return None
+
+    def _loop(self) -> list[str]:
+        series, found = self.series, list[str]()
+        found.append("const double inverse = 1.0 / (double)k;")
+        if self.vectors:
+            found.append(f"union {{ dal_four vectors[{self.vectors}]; "
+                         f"double at[{4 * self.vectors}]; }} M;")  # fmt: skip
+            found.append(f"dal_series_middle(k, {self.vectors}, A, B, M.vectors);")
+        for i, x in enumerate(series.states):
+            if series.degree[x] > 0:
+                text = f"dal_series_over(d{i}, k, inverse)"
+                found.append(f"const double c{self._number[x]} = {text};")
+                found.append(f"Y[k * {self.width} + {i}] = c{self._number[x]};")
+            else:
+                found.append(f"Y[k * {self.width} + {i}] = 0.0;")
+        found += [f"Y[k * {self.width} + {i}] = 0.0;"
+                  for i in range(len(series.states), self.width)]  # fmt: skip
+        for e in series.nodes:
+            if series.degree[e] > 0 and e not in series.states:
+                is_linear = series.degree[e] == 1
+                text = f"k == 1 ? f{self._number[e]} : 0.0" if is_linear else self._order(e)
+                found.append(f"const double c{self._number[e]} = {text};")
+        for name, side in (("A", 0), ("B", 1)):
+            operands = [self._operand(pair[side]) for pair in series.pairs]
+            operands += ["0.0"] * (4 * self.vectors - len(operands))
+            for c in range(self.vectors):
+                four = ", ".join(operands[4 * c : 4 * c + 4])
+                found.append(f"{name}[k * {self.vectors} + {c}] = (dal_four){{{four}}};")
+        found += [f"b{self._number[e]} = {self.kth(e) or '0.0'};" for e in self._before()]
+        for i, rate in enumerate(series.states.values()):
+            found.append(f"d{i} = {f'unit * {x}' if (x := self.kth(rate)) else '0.0'};")
+        return found
+
+    def _operand(self, operand: Operand) -> str:
+        e, is_weighted = operand
+        text = self.kth(e)
+        if text is None:
+            return "0.0"
+        if not is_weighted:
+            return text
+        if e in self.series.states:
+            return f"d{list(self.series.states).index(e)}"
+        return f"(double)k * {text}"
+
+    def _order(self, e: Node) -> str:
+        """Return the text of the coefficient of order k."""
+        series, op = self.series, e.op
+        M = [f"M.at[{series.pairs[pair]}]" for pair in series.needs(e)]
+        over = f"r{self._number[e]}"
+        k = [self.kth(a) for a in e.args]
+        zero = [self._part(a) for a in e.args]
+        if op in ("+", "-"):
+            if k[0] and k[1]:
+                return f"{k[0]} {op} {k[1]}"
+            return k[0] or (k[1] or "0.0" if op == "+" else f"-{k[1]}")
+        if op == "*":
+            return self._times(e, M)
+        if op == "/":
+            if not k[1]:
+                return f"{k[0]} * {over}"
+            before = f"f{self._number[e.args[1]]} * b{self._number[e]}"
+            part = f"({M[0]} + {k[1]} * {self.zeroth(e)})" if M else before
+            return f"({k[0]} - {part}) * {over}" if k[0] else f"-({part}) * {over}"
+        if op == "sqrt":
+            return f"({k[0]} - {M[0]}) * {over}"
+        if op == "power":
+            exponent, own = zero[1], self.zeroth(e)
+            rest = f"dal_series_over({exponent} * {M[0]} - {M[1]}, k, inverse)"
+            return f"({exponent} * {k[0]} * {own} + {rest}) * {over}"
+        if op == "atan2":
+            one = f"{k[0] or '0.0'} * {zero[1]} - {k[1] or '0.0'} * {zero[0]}"
+            rest = f"dal_series_over({M[0]} - {M[1]} - {M[2]}, k, inverse)"
+            return f"({one} + {rest}) * {over}"
+        return self._function(e, M, k)
+
+    def _times(self, e: Node, M: list[str]) -> str:
+        a, b = e.args
+        one, other = self._part(a), self._part(b)
+        k = [self.kth(a), self.kth(b)]
+        if not (k[0] and k[1]):
+            return f"{one} * {k[1]}" if k[1] else f"{other} * {k[0]}"
+        if M and a is b:
+            return f"{M[0]} + 2.0 * {one} * {k[0]}"
+        if M:
+            return f"({M[0]} + {one} * {k[1]}) + {k[0]} * {other}"
+        if self.series.degree[a] != 1:
+            a, b, one, k = b, a, other, k[::-1]
+        return f"{one} * {k[1]} + f{self._number[a]} * b{self._number[b]}"
+
+    def _function(self, e: Node, M: list[str], k: list[str | None]) -> str:
+        rule, sign = RULES[e.op], "-" if RULES[e.op].sign < 0 else ""
+        other = self.series.other[e]
+        if rule.is_quotient:
+            own = f"{sign}{k[0]} - dal_series_over({M[0]}, k, inverse)"
+            return f"({own}) * r{self._number[e]}"
+        if not M:
+            before = f"f{self._number[e.args[0]]} * b{self._number[other]}"
+            return f"{sign}dal_series_over({before}, k, inverse)"
+        return (f"{sign}({k[0]} * {self._part(other)} + dal_series_over({M[0]}, k, inverse))")
+
+
+# ---- the program -------------------------------------------------------------------------------
+
+
+def expansion(made: Program, model: Model, motion: Motion) -> None:
+    """Write the series of a model, as a ``dal_series``.
+
+    Raises
+    ------
+    NoSeriesError
+        If a function has none.
+    """
+    read = model.derived.read
+    q, p, u = ([read(x) for x in part] for part in (model.q, model.p, model.u))
+    time = read(TIME)
+    y = [*q, *motion.w]
+    series = Series(dict(zip(y, (*motion.velocity, *motion.rates))), time)
+    places = {x.value: f"p[{i}]" for i, x in enumerate(p)}
+    places |= {x.value: f"at->u[{i}]" for i, x in enumerate(u)} | {time.value: "at->t"}
+    places |= {x.value: f"at->y[{i}]" for i, x in enumerate(y)}
+    low = {x.value: f"at->low[{i}]" for i, x in enumerate(y)} | {time.value: "at->t_low"}
+    writer = Writer(series, places, low)
+    width, vectors = writer.width, writer.vectors
+    made.add("#ifdef __GNUC__\n" + _EXPAND)
+    if vectors:
+        made.add(f"    dal_four *const A = (dal_four *)work, *const B = A + order * {vectors};")
+    made.add("    const double *const p = parameters, unit = at->unit;\n    (void)p, (void)work;")
+    made.lines += [f"    {line}" for line in writer.lines()]
+    made.add("}\n")
+    made.add(_SUMS.format(width=width))
+    _values(made, "velocity", "t, y, u, v, p", motion.velocity, {"y": y, "u": u, "p": p}, time)
+    x = {"x": [*q, *(read(s) for s in model.v)], "u": u, "p": p}
+    _values(made, "quasi", "t, x, u, w, p", motion.quasi, x, time)
+    made.add(
+        "static const dal_series model_series = {\n"
+        f"    DAL_SERIES_ABI, {len(y)}, {width}, {8 * vectors}, {int(motion.in_D)}, {int(series.is_branched)},\n"
+        "    model_expand, model_decay, model_sum, model_velocity, model_quasi};\n#endif\n"
+    )
+
+
+_EXPAND = """static void model_expand(const dal_series_at *at, size_t order, double *Y, double *work,
+                         const void *parameters)
+{"""
+
+_SUMS = """static void model_decay(size_t order, const double *Y, double *decay)
+{{
+    dal_series_decay({width}, order, Y, decay);
+}}
+
+static void model_sum(size_t order, double s, const double *Y, double *change)
+{{
+    dal_series_sum({width}, order, s, Y, change);
+}}
+"""
+
+
+def _values(
+    made: Program, name: str, arguments: str, nodes: Sequence[Node],
+    arrays: Mapping[str, Sequence[Node]], time: Node,
+) -> None:  # fmt: skip
+    """Write a function of the time and arrays, which writes nodes to the last array but one."""
+    _, given, _, out, _ = arguments.split(", ")
+    made.add(f"static void model_{name}(double t, const double *{given}, const double *u, "
+             f"double *{out}, const void *parameters)\n{{")  # fmt: skip
+    made.add(f"    const double *const p = parameters;\n    (void)t, (void){given}, (void)u, (void)p;")
+    nodes = spelled(nodes)
+    places = {x.value: f"{key}[{i}]" for key, x in arrays.items() for i, x in enumerate(x)}
+    text = Text(nodes, C, places | {time.value: "t"})
+    made.lines += [f"    {line}" for line in text.names(below(nodes), nodes)]
+    made.lines += [f"    {out}[{i}] = {text.whole(e)};" for i, e in enumerate(nodes)]
+    made.add("}\n")

@@ -1,0 +1,259 @@
+"""Taylor series of a motion, as recurrences.
+
+The coefficients of order k of each operation follow from those of its arguments up to order k, and
+of itself up to k-1.  See series.h for the convolutions.  With c for the result:
+
+    c = a b        c_k = sum a_j b_(k-j)
+    c = a / b      b_0 c_k = a_k - sum b_j c_(k-j), j >= 1
+    c^2 = a        2 c_0 c_k = a_k - sum c_j c_(k-j), 1 <= j < k
+    c = a^e        a_0 k c_k = sum (e j a_j c_(k-j)) - sum (j c_j a_(k-j))
+    c' = a' b      k c_k = sum j a_j b_(k-j), as for sin, exp, tan, erf, ...
+    c' b = a'      b_0 k c_k = k a_k - sum j c_j b_(k-j), as for log, asin, ...
+
+A series has degree 0 or 1 if it is constant or linear in t, and takes no convolution then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import sympy
+
+from .graph import CONDITIONS, Graph, Node, below, mask_of
+
+# Degree of a series that does not end.
+ENDLESS = 2
+
+# What are constant between switches.
+_PIECES = ("max", "min", "fabs", "sign", "step", "choose", *CONDITIONS)
+
+# Functions with branch points: beyond one the series of another branch may seem to converge.
+_BRANCHED = ("power", "sqrt", "log", "asin", "acos", "acosh", "atanh", "atan2")
+
+
+class NoSeriesError(ValueError):
+    """A function that has no Taylor series where it jumps or has a kink; the node is args[0]."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How the derivative of a function follows from that of its argument.
+
+    Attributes
+    ----------
+    other : callable
+        Returns b, from the graph, the argument and the function.
+    is_quotient : bool
+        Whether c' b = a', and not c' = a' b.
+    sign : int
+        Factor of the derivative.
+    """
+
+    other: Callable[[Graph, Node, Node], Node]
+    is_quotient: bool = False
+    sign: int = 1
+
+
+def _square(g: Graph, x: Node) -> Node:
+    return g.make("*", x, x)
+
+
+def _bell(g: Graph, x: Node) -> Node:
+    power = g.make("exp", g.make("*", g.number(-1), _square(g, x)))
+    return g.make("*", g.make("constant", value=2 / sympy.sqrt(sympy.pi)), power)
+
+
+def _root(g: Graph, sign: int, x: Node, shift: int) -> Node:
+    square = _square(g, x)
+    total = g.make("+" if sign > 0 else "-", g.number(shift), square)
+    return g.make("sqrt", total)
+
+
+RULES = {
+    "sin": Rule(lambda g, x, c: g.make("cos", x)),
+    "cos": Rule(lambda g, x, c: g.make("sin", x), sign=-1),
+    "sinh": Rule(lambda g, x, c: g.make("cosh", x)),
+    "cosh": Rule(lambda g, x, c: g.make("sinh", x)),
+    "exp": Rule(lambda g, x, c: c),
+    "tan": Rule(lambda g, x, c: g.make("+", g.one, _square(g, c))),
+    "tanh": Rule(lambda g, x, c: g.make("-", g.one, _square(g, c))),
+    "erf": Rule(lambda g, x, c: _bell(g, x)),
+    "erfc": Rule(lambda g, x, c: _bell(g, x), sign=-1),
+    "log": Rule(lambda g, x, c: x, True),
+    "asin": Rule(lambda g, x, c: _root(g, -1, x, 1), True),
+    "acos": Rule(lambda g, x, c: _root(g, -1, x, 1), True, -1),
+    "atan": Rule(lambda g, x, c: g.make("+", g.one, _square(g, x)), True),
+    "asinh": Rule(lambda g, x, c: _root(g, 1, x, 1), True),
+    "acosh": Rule(lambda g, x, c: _root(g, 1, x, -1), True),
+    "atanh": Rule(lambda g, x, c: g.make("-", g.one, _square(g, x)), True),
+}  # fmt: skip
+
+# Operands of convolutions: a series, and whether its coefficient of order j is multiplied by j.
+Operand = tuple[Node, bool]
+Pair = tuple[Operand, Operand]
+
+
+# ---- operations with recurrences ---------------------------------------------------------------
+
+
+def _prepared(nodes: Sequence[Node], changing: int) -> list[Node]:
+    """Return nodes in operations that have recurrences, in a graph of their own.
+
+    The bits of all symbols that are not constant are ``changing``.
+    """
+    graph, made = Graph(), dict[Node, Node]()
+    for node in below(nodes):
+        args = [made[a] for a in node.args]
+        if node.op == "pow":
+            made[node] = _power(graph, args[0], node.value)
+        elif node.op == "*":
+            made[node] = _product(graph, *args)
+        elif node.op == "power" and node.args[1].reach & changing:
+            exponent = graph.make("*", args[1], graph.make("log", args[0]))
+            made[node] = graph.make("exp", exponent)
+        else:
+            made[node] = graph.make(node.op, *args, value=node.value)
+    return [made[e] for e in nodes]
+
+
+def _product(graph: Graph, a: Node, b: Node) -> Node:
+    """Return a product, with 1/x in it as a division."""
+    for one, other in ((a, b), (b, a)):
+        if other.op == "/" and other.args[0] is graph.one:
+            return graph.make("/", one, other.args[1])
+    return graph.make("*", a, b)
+
+
+def _power(graph: Graph, x: Node, exponent: int | Fraction) -> Node:
+    """Return a rational power by products, a division, a root or the recurrence of powers."""
+    if exponent == Fraction(1, 2):
+        return graph.make("sqrt", x)
+    if exponent.denominator > 1 or abs(exponent) > 64:
+        return graph.make("power", x, graph.number(exponent))
+    if exponent < 0:
+        return graph.make("/", graph.one, _power(graph, x, -exponent))
+    if exponent == 1:
+        return x
+    half = _power(graph, x, exponent // 2)
+    square = graph.make("*", half, half)
+    return graph.make("*", square, x) if exponent % 2 else square
+
+
+class Series:
+    """The recurrences of the rates of some states.
+
+    Parameters
+    ----------
+    states : mapping of Node to Node
+        The rate of each state; both belong to one graph.
+    time : Node
+        The symbol of the time.
+
+    Attributes
+    ----------
+    states : dict of Node to Node
+        The rates, in a graph of operations with recurrences.
+    nodes : list of Node
+        All operations and symbols, arguments first.
+    degree : dict of Node to int
+    pairs : dict of tuple to int
+        The operands of each convolution, and its number.
+    is_branched : bool
+        Whether a function has branch points.
+    """
+
+    def __init__(self, states: Mapping[Node, Node], time: Node) -> None:
+        changing = mask_of([*states, time])
+        prepared = iter(_prepared([*states, *states.values(), time], changing))
+        symbols = [next(prepared) for _ in states]
+        self.states = {x: next(prepared) for x in symbols}
+        self.time = next(prepared)
+        self.other: dict[Node, Node] = {}
+        self._complete()
+        every = [*self.states, *self.states.values(), *self.other.values()]
+        self.nodes = below(every)
+        self.degree = self._degrees()
+        for e in self.nodes:
+            if self.degree[e] > 0 and (e.op in _PIECES or e.op == "nan"):
+                raise NoSeriesError(e)
+        self.is_branched = any(e.op in _BRANCHED and self.degree[e] > 0 for e in self.nodes)
+        self.pairs: dict[Pair, int] = {}
+        for e in self.nodes:
+            for pair in self.needs(e):
+                self.pairs.setdefault(pair, len(self.pairs))
+
+    def _complete(self) -> None:
+        """Find what the recurrences of functions need besides their arguments."""
+        left = below([*self.states, *self.states.values()])
+        while left:
+            e = left.pop()
+            graph = e.graph
+            if e in self.other:
+                continue
+            if e.op in RULES:
+                self.other[e] = RULES[e.op].other(graph, e.args[0], e)
+            elif e.op == "atan2":
+                y, x = e.args
+                self.other[e] = graph.make("+", _square(graph, x), _square(graph, y))
+            else:
+                continue
+            left += below([self.other[e]])
+
+    def _degrees(self) -> dict[Node, int]:
+        """Return the degree of each series: the least that the rates allow."""
+        known = dict.fromkeys(self.states, 0)
+        while True:
+            degree: dict[Node, int] = {}
+            for e in self.nodes:
+                degree[e] = self._degree(e, degree, known)
+            rates = {
+                x: 0 if rate.is_zero else min(degree[rate] + 1, ENDLESS)
+                for x, rate in self.states.items()
+            }
+            if rates == known:
+                return degree
+            known = rates
+
+    def _degree(self, e: Node, degree: Mapping[Node, int], states: Mapping[Node, int]) -> int:
+        if e in states:
+            return states[e]
+        if e is self.time:
+            return 1
+        of_args = [degree[a] for a in e.args]
+        largest = max(of_args, default=0)
+        if e.op in ("+", "-") or (e.op == "*" and min(of_args) == 0):
+            return largest
+        if e.op == "/" and of_args[1] == 0:
+            return largest
+        return ENDLESS if largest > 0 else 0
+
+    def needs(self, e: Node) -> list[Pair]:
+        """Return the convolutions of an operation."""
+        degree = self.degree
+        if degree[e] < ENDLESS or e in self.states:
+            return []
+        if e.op == "*":
+            return [] if min(degree[a] for a in e.args) < 2 else [_pair(*e.args)]
+        if e.op == "/":
+            return [_pair(e.args[1], e)] if degree[e.args[1]] == ENDLESS else []
+        if e.op == "sqrt":
+            return [_pair(e, e)]
+        if e.op == "power":
+            return [((e.args[0], True), (e, False)), ((e, True), (e.args[0], False))]
+        if e.op == "atan2":
+            y, x = e.args
+            pairs = ((y, x), (x, y), (e, self.other[e]))
+            return [((a, True), (b, False)) for a, b in pairs]
+        if rule := RULES.get(e.op):
+            if rule.is_quotient:
+                return [((e, True), (self.other[e], False))]
+            is_linear = degree[e.args[0]] == 1
+            return [] if is_linear else [((e.args[0], True), (self.other[e], False))]
+        return []
+
+
+def _pair(a: Node, b: Node) -> Pair:
+    one, other = sorted((a, b), key=lambda e: e.index)
+    return (one, False), (other, False)
