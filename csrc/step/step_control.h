@@ -28,7 +28,8 @@ typedef struct dal__step_control {
     /* The data that the next step depends on.  NULL: none. */
     void (*save)(dal_stepper *stepper, dal__archive *a);
 } dal__step_control;
-extern const dal__step_control dal__fixed_steps, dal__controlled_steps, dal__reversible_steps;
+extern const dal__step_control dal__fixed_steps, dal__own_steps, dal__controlled_steps,
+                               dal__reversible_steps;
 const dal__step_control *dal__step_control_of(const dal_options *options);
 
 /* Data that the controls of variable steps share (variable.c). */

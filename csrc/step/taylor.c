@@ -1,8 +1,8 @@
 /* The family taylor: the flow of the ODE on D by Taylor series that are compiled for the system.
  *
  * A piece is the polynomial of one series, and may be longer or shorter than the steps of a run,
- * whose states it gives.  The numbers y of series.h, and the time, are compensated sums, so their
- * roundoff does not add up. */
+ * whose states it gives.  The numbers y of series.h are compensated sums, so their roundoff does not
+ * add up; pieces begin and end at times that are doubles. */
 #include "dalembert/series.h"
 #include "geometry/geometry.h"
 #include "step/scheme.h"
@@ -46,16 +46,16 @@ typedef struct taylor {
     const dal_series *series;
     size_t n, states, width, order, inputs;
     double tolerance, log_tolerance; /* of the coefficients; its binary logarithm */
-    double time, time_low;   /* since t0, where the piece begins, */
-    double length;           /* and its length */
+    double t, end;           /* the times where the piece begins and ends */
     double unit;             /* that of the coefficients; 0: not known */
     double last_length;      /* of the piece before; 0: there was none */
     double *y, *low;         /* [width] where the piece begins; the part below the last digit */
     double *row, *row_low;   /* [width] the same at the state that was given last */
     double *change, *slope;  /* [width] */
     double *from, *from_low; /* [width] */
-    double *x, *input;       /* [2n], [inputs] that state, and the inputs of the piece */
-    double *coefficients, *end, *work; /* aligned to ALIGNED */
+    double *x, row_t;        /* [2n] that state, and its time */
+    double *input;           /* [inputs] of the piece */
+    double *coefficients, *rates, *work; /* aligned to ALIGNED */
     bool going;              /* the piece leads on from x, */
     bool stale;              /* but its coefficients are not those of y */
     bool fresh;              /* x is that of a saved state, and not known yet */
@@ -107,7 +107,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     DAL__RESERVE(&memory, 2 * def->n, &shape.x);
     DAL__RESERVE(&memory, def->inputs, &shape.input);
     DAL__RESERVE(&memory, rows * shape.width + spare, &shape.coefficients);
-    DAL__RESERVE(&memory, 2 * shape.width + spare, &shape.end);
+    DAL__RESERVE(&memory, 2 * shape.width + spare, &shape.rates);
     DAL__RESERVE(&memory, rows * series->room + spare, &shape.work);
     status = dal__allocate(&memory, error);
     if (status) return status;
@@ -115,7 +115,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     self->arena = memory;
     self->change = aligned(self->change);
     self->coefficients = aligned(self->coefficients);
-    self->end = aligned(self->end);
+    self->rates = aligned(self->rates);
     self->work = aligned(self->work);
     *method = self;
     return DAL_SUCCESS;
@@ -157,16 +157,19 @@ static void state_at(taylor *self, double s, double *y, double *low)
 
 /* ---- a piece ----------------------------------------------------------------------------- */
 
-/* The coefficients of a state up to an order; DAL_SERIES_LAST at least gives decay. */
-static void expand(taylor *self, const dal_motion *motion, double time, double time_low,
-                   const double *y, const double *low, size_t order, double *coefficients)
+/* The coefficients of a state up to an order. */
+static void expand(taylor *self, const dal_motion *motion, double t, const double *y,
+                   const double *low, size_t order, double *coefficients)
 {
-    double rest = time_low;
-    const double t = add(motion->t0, &rest, time);
-    const dal_series_at at = {.t = t, .t_low = rest, .unit = self->unit, .y = y, .low = low,
-                              .u = self->input};
+    const dal_series_at at = {.t = t, .unit = self->unit, .y = y, .low = low, .u = self->input};
     self->series->expand(&at, order, coefficients, self->work, motion->system->def.ctx);
     motion->stats->evaluations++;
+}
+
+/* Those of the piece. */
+static void expand_here(taylor *self, const dal_motion *motion)
+{
+    expand(self, motion, self->t, self->y, self->low, self->order, self->coefficients);
 }
 
 /* log2 x for x > 0, to 3e-4, without a call. */
@@ -208,10 +211,18 @@ static double power_of_2(double x)
     return ldexp(1.0, exponent);
 }
 
+/* After t there is no piece, however short. */
+static int fail_to_go_on(taylor *self, dal_motion *motion, double length)
+{
+    return dal__fail(motion->error, DAL_ENOCONV, "the step size collapsed to %.1e at t = %.17g, "
+                     "where a function is not analytic, or the motion comes to an end; the scheme "
+                     "\"reference\" needs no series", length, self->t);
+}
+
 static int fail_not_finite(taylor *self, dal_motion *motion)
 {
     dal_mechanics *const mech = motion->mechanics;
-    const double t = motion->t0 + self->time;
+    const double t = self->t;
     memcpy(mech->point, self->y, self->n * sizeof(double));
     self->series->velocity(t, self->y, self->input, mech->point + self->n,
                            motion->system->def.ctx);
@@ -219,7 +230,7 @@ static int fail_not_finite(taylor *self, dal_motion *motion)
         if (!isfinite(mech->point[i]))
             return dal__fail(motion->error, DAL_EDOMAIN, "the motion leaves the range of numbers "
                              "after t = %.17g", t);
-    const int status = dal__field(mech, t, mech->point, self->end);
+    const int status = dal__field(mech, t, mech->point, self->rates);
     if (status) return status;
     return dal__fail(motion->error, DAL_EDOMAIN, "the Taylor series are not finite at t = %.17g, "
                      "where a function is not analytic, or the motion comes to an end; the scheme "
@@ -231,8 +242,7 @@ static int expand_piece(taylor *self, dal_motion *motion, double *units)
 {
     enum { TRIES = 80, FAR = 64 };
     for (int k = 0; k < TRIES; k++) {
-        expand(self, motion, self->time, self->time_low, self->y, self->low, self->order,
-               self->coefficients);
+        expand_here(self, motion);
         *units = allowed_units(self);
         const bool is_far = !(*units <= FAR && *units >= 1.0 / FAR);
         if (*units == HUGE_VAL || !is_far) return DAL_SUCCESS;
@@ -248,22 +258,20 @@ static int expand_piece(taylor *self, dal_motion *motion, double *units)
 static bool solves_at_end(taylor *self, const dal_motion *motion)
 {
     const size_t width = self->width;
-    const double s = self->length / self->unit;
-    double low = self->time_low;
-    const double end = add(self->time, &low, self->length);
+    const double s = (self->end - self->t) / self->unit;
     state_at(self, s, self->from, self->from_low);
     if (!dal__all_finite(self->states, self->from)) return false;
-    expand(self, motion, end, low, self->from, self->from_low, 1, self->end);
+    expand(self, motion, self->end, self->from, self->from_low, 1, self->rates);
     memset(self->slope, 0, width * sizeof(double));
     for (size_t k = self->order; k > 0; k--)
         for (size_t i = 0; i < width; i++)
             self->slope[i] = self->slope[i] * s + (double)k * self->coefficients[k * width + i];
     for (size_t i = 0; i < self->states; i++) {
-        double size = fabs(self->end[width + i]);
+        double size = fabs(self->rates[width + i]);
         for (size_t k = 1; k <= 3; k++)
             size = fmax(size, fabs(self->coefficients[k * width + i]));
         const double roundoff = DAL_ROUNDOFF * (double)self->order * fabs(self->y[i]);
-        const double difference = fabs(self->slope[i] - self->end[width + i]);
+        const double difference = fabs(self->slope[i] - self->rates[width + i]);
         if (!(difference <= allowed_slope(self->tolerance) * size + roundoff)) return false;
     }
     return true;
@@ -277,24 +285,23 @@ static int begin_piece(taylor *self, dal_motion *motion)
     double units;
     const int status = expand_piece(self, motion, &units);
     if (status) return status;
-    const double longest = fmin(units, LONGEST) * self->unit;
-    self->length = direction * longest;
+    double length = fmin(units, LONGEST) * self->unit;
     const bool suspicious =
-        last == 0.0 || longest > GROWTH * last || self->series->is_branched;
-    for (int k = 0; suspicious && !solves_at_end(self, motion); k++) {
-        if (k == HALVINGS) return fail_not_finite(self, motion);
-        self->length *= 0.5;
+        last == 0.0 || length > GROWTH * last || self->series->is_branched;
+    for (int k = 0;; k++, length *= 0.5) {
+        self->end = self->t + direction * length;
+        if (self->end == self->t || k == HALVINGS) return fail_to_go_on(self, motion, length);
+        if (!suspicious || solves_at_end(self, motion)) break;
     }
-    self->last_length = fabs(self->length);
+    self->last_length = length;
     self->stale = false;
     return DAL_SUCCESS;
 }
 
-/* x[2n] <- y at a time since t0, with the velocity in D to roundoff. */
-static int find_state(taylor *self, dal_motion *motion, double time, const double *y, double *x)
+/* x[2n] <- y at a time, with the velocity in D to roundoff. */
+static int find_state(taylor *self, dal_motion *motion, double t, const double *y, double *x)
 {
     dal_mechanics *const mech = motion->mechanics;
-    const double t = motion->t0 + time;
     memcpy(x, y, self->n * sizeof *x);
     self->series->velocity(t, y, self->input, x + self->n, motion->system->def.ctx);
     if (!dal__all_finite(2 * self->n, x)) return fail_not_finite(self, motion);
@@ -311,7 +318,7 @@ static int find_state(taylor *self, dal_motion *motion, double time, const doubl
 static int stay_in_D(taylor *self, dal_motion *motion)
 {
     const size_t n = self->n;
-    const int status = find_state(self, motion, self->time, self->y, self->x);
+    const int status = find_state(self, motion, self->t, self->y, self->x);
     for (size_t i = 0; !status && i < n; i++)
         if (self->x[n + i] != self->y[n + i]) {
             self->y[n + i] = self->x[n + i];
@@ -324,87 +331,101 @@ static int stay_in_D(taylor *self, dal_motion *motion)
 static int next_piece(taylor *self, dal_motion *motion, double until)
 {
     struct dal__guards *const guards = motion->guards;
-    int status = dal__creep_check(&guards->creep, motion->t0 + self->time,
-                                  fabs(until - self->time), motion->error);
+    int status = dal__creep_check(&guards->creep, self->t, fabs(until - self->t), motion->error);
+    if (!status) status = dal__ask(&self->watch, self->t, motion->error);
     if (status) return status;
-    state_at(self, self->length / self->unit, self->y, self->low);
-    self->time = add(self->time, &self->time_low, self->length);
+    state_at(self, (self->end - self->t) / self->unit, self->y, self->low);
+    self->t = self->end;
     const double relative = self->last_length / self->unit;
     if (relative < 0.25 || relative > 4.0) self->unit = power_of_2(self->last_length);
     if (!self->series->in_D) status = stay_in_D(self, motion);
     if (!status) status = begin_piece(self, motion);
-    if (!status) dal__creep_step(&guards->creep, motion->t0 + self->time, self->length);
+    if (!status) dal__creep_step(&guards->creep, self->t, self->end - self->t);
     return status;
 }
 
 /* ---- steps ------------------------------------------------------------------------------- */
 
-/* The first piece, from x at a time since t0. */
-static int begin(taylor *self, dal_motion *motion, double time)
+/* Whether the last state that was given is that of the motion. */
+static bool is_at(const taylor *self, const dal_motion *motion, double t)
 {
-    const dal_series *const series = self->series;
-    const size_t n = self->n;
-    const bool same = self->going && memcmp(self->x, motion->x, 2 * n * sizeof(double)) == 0;
-    if (same) { /* the inputs have changed */
-        memcpy(self->y, self->row, self->width * sizeof(double));
-        memcpy(self->low, self->row_low, self->width * sizeof(double));
-    } else {
-        memcpy(self->y, motion->x, n * sizeof(double));
-        memset(self->low, 0, self->width * sizeof(double));
-    }
+    return self->going && self->row_t == t
+        && memcmp(self->x, motion->x, 2 * self->n * sizeof(double)) == 0;
+}
+
+/* The first piece, from x at t. */
+static int begin(taylor *self, dal_motion *motion, double t)
+{
+    const size_t n = self->n, size = self->width * sizeof(double);
+    const bool same = is_at(self, motion, t);
+    memset(self->low, 0, size);
+    if (same) memcpy(self->low, self->row_low, size);
+    if (same) memcpy(self->y, self->row, size);
+    else memcpy(self->y, motion->x, n * sizeof(double));
     if (self->inputs > 0) memcpy(self->input, motion->input, self->inputs * sizeof(double));
     if (!same)
-        series->quasi(motion->t0 + time, motion->x, self->input, self->y + n,
-                      motion->system->def.ctx);
-    self->time = time;
-    self->time_low = 0.0;
+        self->series->quasi(t, motion->x, self->input, self->y + n, motion->system->def.ctx);
+    self->t = self->row_t = t;
     self->last_length = 0.0;
     if (self->unit == 0.0) self->unit = power_of_2(fabs(motion->h));
+    memcpy(self->x, motion->x, 2 * n * sizeof(double));
+    memcpy(self->row, self->y, size);
+    memcpy(self->row_low, self->low, size);
     return begin_piece(self, motion);
 }
 
-/* Whether the piece leads on from where the motion is. */
-static bool leads_on(const taylor *self, const dal_motion *motion)
+/* A piece that leads on from where the motion is, at t. */
+static int follow(taylor *self, dal_motion *motion, double t)
 {
-    const size_t inputs = self->inputs;
-    return self->going && memcmp(self->x, motion->x, 2 * self->n * sizeof(double)) == 0
-        && (inputs == 0 || memcmp(self->input, motion->input, inputs * sizeof(double)) == 0);
-}
-
-/* The state at a time since t0. */
-static int reach(taylor *self, dal_motion *motion, double time)
-{
-    const double direction = motion->h > 0.0 ? 1.0 : -1.0;
-    int status = DAL_SUCCESS;
-    while (direction * ((time - self->time) - self->time_low) > direction * self->length) {
-        status = dal__ask(&self->watch, motion->t0 + self->time, motion->error);
-        if (!status) status = next_piece(self, motion, time);
-        if (status) return status;
-    }
-    const double s = ((time - self->time) - self->time_low) / self->unit;
-    state_at(self, s, self->row, self->row_low);
-    return find_state(self, motion, time, self->row, self->x);
-}
-
-static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
-{
-    taylor *const self = method;
-    const double made = (double)(motion->steps - motion->first);
     int status = DAL_SUCCESS;
     if (self->watch.function != motion->watch || self->watch.ctx != motion->watch_ctx)
         self->watch = (dal__watch){.function = motion->watch, .ctx = motion->watch_ctx};
     if (self->fresh) memcpy(self->x, motion->x, 2 * self->n * sizeof(double));
     self->fresh = false;
-    if (!leads_on(self, motion)) status = begin(self, motion, made * motion->h);
-    else if (self->stale)
-        expand(self, motion, self->time, self->time_low, self->y, self->low, self->order,
-               self->coefficients);
+    const bool same_inputs = self->inputs == 0
+        || memcmp(self->input, motion->input, self->inputs * sizeof(double)) == 0;
+    if (!is_at(self, motion, t) || !same_inputs) status = begin(self, motion, t);
+    else if (self->stale) expand_here(self, motion);
     self->stale = false;
     self->going = !status;
-    for (*done = 0; !status && *done < steps; *done += !status) {
-        status = reach(self, motion, (made + (double)*done + 1.0) * motion->h);
-        if (!status) memcpy(motion->x, self->x, 2 * self->n * sizeof(double));
+    return status;
+}
+
+/* The state at t. */
+static int reach(taylor *self, dal_motion *motion, double t)
+{
+    const double direction = motion->h > 0.0 ? 1.0 : -1.0;
+    int status = DAL_SUCCESS;
+    while (!status && direction * (t - self->end) > 0.0) status = next_piece(self, motion, t);
+    if (!status) {
+        state_at(self, (t - self->t) / self->unit, self->row, self->row_low);
+        status = find_state(self, motion, t, self->row, self->x);
     }
+    self->row_t = t;
+    self->going = !status;
+    if (!status) memcpy(motion->x, self->x, 2 * self->n * sizeof(double));
+    return status;
+}
+
+static double time_of(const dal_motion *motion, size_t steps)
+{
+    return motion->t0 + (double)(motion->steps - motion->first + steps) * motion->h;
+}
+
+static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
+{
+    int status = follow(method, motion, time_of(motion, 0));
+    for (*done = 0; !status && *done < steps; *done += !status)
+        status = reach(method, motion, time_of(motion, *done + 1));
+    return status;
+}
+
+static int own_end(void *method, dal_motion *motion, double until, double *end)
+{
+    taylor *const self = method;
+    int status = follow(self, motion, time_of(motion, 0));
+    if (!status && self->row_t == self->end) status = next_piece(self, motion, until);
+    *end = self->end;
     self->going = !status;
     return status;
 }
@@ -414,8 +435,8 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 static size_t save(const void *method, double *values)
 {
     const taylor *const self = method;
-    const double *const numbers[] = {&self->tolerance, &self->unit, &self->time, &self->time_low,
-                                     &self->length, &self->last_length};
+    const double *const numbers[] = {&self->tolerance, &self->unit, &self->t, &self->end,
+                                     &self->row_t, &self->last_length};
     const double *const states[] = {self->y, self->low, self->row, self->row_low};
     const size_t inputs = self->inputs;
     for (size_t i = 0; values && i < DAL_LENGTH(numbers); i++) *values++ = *numbers[i];
@@ -437,7 +458,7 @@ static int accepts(const void *method, const double *values)
 static void restore(void *method, const double *values)
 {
     taylor *const self = method;
-    double *const numbers[] = {&self->unit, &self->time, &self->time_low, &self->length,
+    double *const numbers[] = {&self->unit, &self->t, &self->end, &self->row_t,
                                &self->last_length};
     double *const states[] = {self->y, self->low, self->row, self->row_low};
     values++; /* the tolerance */
@@ -457,6 +478,7 @@ const dal_family dal__family_taylor = {
     .free = release,
     .start = start,
     .advance = advance,
+    .own_end = own_end,
     .save = save,
     .accepts = accepts,
     .restore = restore,

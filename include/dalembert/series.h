@@ -23,9 +23,9 @@ enum { DAL_SERIES_MOST = 40, DAL_SERIES_LAST = 4 };
 
 /* Where a series begins. */
 typedef struct dal_series_at {
-    double t, t_low;       /* the time, and the part of it below the last digit of t */
+    double t;              /* the time */
     double unit;           /* of the coefficients, a power of 2 */
-    const double *y, *low; /* [width], likewise */
+    const double *y, *low; /* [width] the numbers, and their parts below the last digit */
     const double *u;       /* [inputs] */
 } dal_series_at;
 

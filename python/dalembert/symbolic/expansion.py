@@ -301,7 +301,7 @@ def expansion(made: Program, model: Model, motion: Motion) -> None:
     places = {x.value: f"p[{i}]" for i, x in enumerate(p)}
     places |= {x.value: f"at->u[{i}]" for i, x in enumerate(u)} | {time.value: "at->t"}
     places |= {x.value: f"at->y[{i}]" for i, x in enumerate(y)}
-    low = {x.value: f"at->low[{i}]" for i, x in enumerate(y)} | {time.value: "at->t_low"}
+    low = {x.value: f"at->low[{i}]" for i, x in enumerate(y)} | {time.value: "0.0"}
     writer = Writer(series, places, low)
     width, vectors = writer.width, writer.vectors
     made.add("#ifdef __GNUC__\n" + _EXPAND)
