@@ -83,7 +83,7 @@ class Trial:
         case = self.case
         self.mech.calls = 40_000
         self.run = self.integrate()
-        if self.run is not None and not case.scheme.is_reference:
+        if self.run is not None and not case.scheme.is_flow:
             about_D = [text for text in self.told if "residual of the constraint" in text]
             if self.check_bound() and about_D:
                 self.found("alarm", about_D[0])
@@ -312,7 +312,7 @@ class Trial:
                 self.found("alarm", f"at the start: {text}")
             return
         k = len(self.run.x) - 1
-        if case.scheme.is_reference:
+        if case.scheme.is_flow:
             t0 = case.t0 + k * case.h
             if self.mech.smooth and flow(self.mech, t0, self.run.x[k], t0 + case.h) is not None:
                 self.found("alarm", text)

@@ -653,7 +653,7 @@ class Maker:
         h = 10 ** (rng.uniform(-0.6, 0.7) if large else rng.uniform(-3.5, -0.6))
         most = 150 if len(scheme.substeps) < 3 else 30
         steps = int(min(10 ** rng.uniform(0, math.log10(most)), max(1, 40 / h)))
-        if scheme.is_reference:
+        if scheme.is_flow:
             h, steps = min(h, 0.5), min(steps, 5)
         h *= tau * float(rng.choice([-1, 1], p=[0.1, 0.9]))
         case = Case(name, self.tags, mech, scheme, q0, v0, h, steps, t0, unit=tau)

@@ -49,6 +49,20 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     return status;
 }
 
+/* Of a run to a finite time: its first step, and all of a multistep method. */
+static const double PART = 0x1p-9;
+
+static int own_end(void *method, dal_motion *motion, double until, double *end)
+{
+    const double *const inner = dal__flow_inner(method);
+    const double t = motion->t0 + (double)(motion->steps - motion->first) * motion->h;
+    const double left = isfinite(until) ? fabs(until - t) : fmax(1.0, fabs(t));
+    const double first = motion->steps > 0 ? fabs(motion->h) : PART * left;
+    const double size = inner && *inner > 0.0 ? *inner : first;
+    *end = t + copysign(size, motion->h);
+    return DAL_SUCCESS;
+}
+
 /* The method and the tolerance, which other steps would be made by, and the inner size. */
 enum { METHOD, TOLERANCE, INNER, SAVED };
 
@@ -84,6 +98,7 @@ const dal_family dal__family_flow = {
     .free = release,
     .start = start,
     .advance = advance,
+    .own_end = own_end,
     .save = save,
     .accepts = accepts,
     .restore = restore,

@@ -32,7 +32,6 @@ from .runs import Plan, Run, first_inputs, idle_steppers, started_stepper
 from .scheme import Scheme
 from .solution import Solution, rank_doubt
 from .steps import Steps
-from .taylor import SeriesRun, require_supported
 
 
 @takes(IntegrateOptions)
@@ -96,9 +95,7 @@ def integrate(*args: Any, **given: Any) -> Solution:
     system, scheme, sizes = asked.system, asked.scheme, Steps.of(asked)
     assert isinstance(scheme, Scheme)
     stride = sizes.stride(asked.stride)
-    chosen = with_method(scheme, asked.method, None if sizes.varies else asked.tolerance)
-    if chosen.is_series:
-        require_supported(system)
+    chosen = with_method(scheme, asked.method, asked.tolerance if scheme.is_flow else None)
     x0 = geometry.initial_state(system, asked.q0, asked.v0)
     consistency = CONSISTENCY[asked.consistent]
     doubt_start(system, x0, asked.t0, consistency)
@@ -112,11 +109,10 @@ def integrate(*args: Any, **given: Any) -> Solution:
         require_memory(size, stored, "use a larger stride")
 
     first = first_inputs(system, inputs, sizes.holds(hold), x0, asked.t0)
-    of_series = chosen.is_series  # which have no stepper, but of C's flow their initial data
-    starter, of_c = Scheme.find("reference") if of_series else chosen, in_c(asked.of_c)
-    idle = idle_steppers(system, starter, of_c)
+    of_c = in_c(asked.of_c)
+    idle = idle_steppers(system, chosen, of_c)
     stepper = started_stepper(
-        system, starter, x0, t0=asked.t0, h=sizes.first, consistency=consistency,
+        system, chosen, x0, t0=asked.t0, h=sizes.first, consistency=consistency,
         initial=scheme._initial(asked.initial), options=of_c, idle=idle, inputs=first,
     )  # fmt: skip
 
@@ -126,9 +122,8 @@ def integrate(*args: Any, **given: Any) -> Solution:
             run.journal = Journal.create(asked.journal, run, chosen, about, asked.journal_errors)
 
     watched = asked.events or times is not None
-    watch = Watch(system, stepper, starter, asked.events, times) if watched else None
-    made_by = chosen if of_series else scheme
-    plan = Plan(asked, system, made_by, stepper, sizes, stride, inputs, hold, watch, first)
+    watch = Watch(system, stepper, chosen, asked.events, times) if watched else None
+    plan = Plan(asked, system, chosen, stepper, sizes, stride, inputs, hold, watch, first)
     solution = _make(begin, plan)
     idle.append(stepper)
     return solution
@@ -206,7 +201,7 @@ def resume(*args: Any, **given: Any) -> Solution:
 def _make(begin: Callable[[Any], None], plan: Plan) -> Solution:
     """Return the solution of a `Run`, or raise its error with the solution so far."""
     with extras.progress(plan.asked.progress, *plan.steps.progress) as show:
-        run = (SeriesRun if plan.scheme.is_series else Run)(plan, show)
+        run = Run(plan, show)
         begin(run)
         run.make()
     solution, error = run.solution(), run.error
@@ -227,17 +222,24 @@ def _make(begin: Callable[[Any], None], plan: Plan) -> Solution:
 
 
 def with_method(record: Scheme, method: str | None, tolerance: float | None) -> Scheme:
-    """Return the scheme; "reference" gets this method and tolerance."""
-    given = {"method": method, "tolerance": tolerance}
-    flow = Scheme.flow(**{name: x for name, x in given.items() if x is not None})
-    if record == Scheme.find("reference"):
-        return flow
-    if given != {"method": None, "tolerance": None} and record != flow:
+    """Return the scheme; "reference" gets this method and tolerance, "taylor" this tolerance."""
+    if method is None and tolerance is None:
+        return record
+    is_plain = record in (Scheme.find("reference"), Scheme.find("taylor"))
+    if record.family == "taylor" and method not in (None, "taylor"):
+        raise ValueError(
+            f"method = {method!r}: not used with the scheme 'taylor'; remove it, or take the "
+            "scheme 'reference'"
+        )
+    made = Scheme.taylor if "taylor" in (record.family, method) else Scheme.flow
+    given = {} if made == Scheme.taylor or method is None else {"method": method}
+    flow = made(**given, **({} if tolerance is None else {"tolerance": tolerance}))
+    if not is_plain and record != flow:
         raise ValueError(
             f"method = {method!r}, tolerance = {tolerance!r}: the scheme already has a method "
-            "and a tolerance; remove them, or pass scheme='reference'"
+            "and a tolerance; remove them, or pass the name of the scheme"
         )
-    return record
+    return flow
 
 
 def _times(given: ArrayLike, steps: Steps) -> Array:

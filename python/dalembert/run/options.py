@@ -25,7 +25,7 @@ from ..system import System
 from . import events
 from .scheme import INITIAL, METHODS, Scheme
 
-WORDS = ("auto", "reversible")  # what h may be instead of a number
+WORDS = ("auto", "reversible", "own")  # what h may be instead of a number
 TOLERANCE = 1e-9  # of "auto"
 JOURNAL_ERRORS = {"warn": 1, "stop": 0}
 
@@ -45,17 +45,19 @@ _ASKED_BY = {
     "kept": "a fixed step at kept nodes",
     "auto": "h = 'auto'",
     "reversible": "h = 'reversible'",
-    "flow": "the scheme 'reference'",
-    "series": "method = 'taylor'",
+    "own": "h = 'own'",
+    "flow": "the schemes 'reference' and 'taylor'",
 }
 _FIXED = {"fixed", "kept"}
 _STEPS = "fixed kept auto reversible"
-_IN_C = f"{_STEPS} flow"
-_DRIVEN = "fixed kept auto flow"
+_IN_C = f"{_STEPS} own flow"
+_DRIVEN = "fixed kept auto own flow"
 
 
 def word_of(h: Any) -> str | None:
     """Return the word given for a step size, None for a number."""
+    if h is None:
+        return "own"
     if not isinstance(h, str):
         return None
     if h not in WORDS:
@@ -66,17 +68,23 @@ def word_of(h: Any) -> str | None:
     return h
 
 
-def kind_of(scheme: Scheme, word: str | None = None, method: Any = None) -> str:
+def kind_of(scheme: Scheme, word: str | None = None) -> str:
     """Return the kind of a run by a scheme; raise ValueError if the word for h is unknown."""
-    if word is not None and (scheme.is_reference or scheme.nodes == "kept"):
-        flow = scheme.is_reference
-        why = "chooses its own step sizes" if flow else "has kept nodes, whose D_eps depends on h"
+    if word == "own" and not scheme.is_flow:
         raise ValueError(
-            f"h = {word!r} with the scheme {scheme.name!r}, which {why}; expected a number"
+            f"h is missing, or 'own', with the scheme {scheme.name!r}: only the schemes 'taylor' "
+            "and 'reference' have steps of their own size; give h a number"
+            + ("" if scheme.nodes == "kept" else ", 'auto' or 'reversible'")
         )
-    if scheme.is_reference:
-        return "series" if scheme.is_series or method == "taylor" else "flow"
-    return word or ("kept" if scheme.nodes == "kept" else "fixed")
+    if word not in (None, "own") and (scheme.is_flow or scheme.nodes == "kept"):
+        flow, expected = scheme.is_flow, "a number"
+        why = "has kept nodes, whose D_eps depends on h"
+        if flow:
+            why, expected = "chooses its own step sizes", "a number, or no h"
+        raise ValueError(
+            f"h = {word!r} with the scheme {scheme.name!r}, which {why}; expected {expected}"
+        )
+    return word or ("flow" if scheme.is_flow else "kept" if scheme.nodes == "kept" else "fixed")
 
 
 def require(
@@ -94,8 +102,7 @@ def require(
         if one.uses is not None and kind not in one.uses:
             takers = {*one.uses}
             here = _FIXED if kind in _FIXED and not _FIXED & takers else {kind}
-            # Series are a method of the scheme 'reference', which takes all of their options.
-            advice = f"remove it, or take {_or(_in_words(takers - {'series'}))}"
+            advice = f"remove it, or take {_or(_in_words(takers))}"
             raise ValueError(
                 f"{name} = {arguments.shown(value)}: not used with {_or(_in_words(here))}; "
                 f"{one.instead or advice}"
@@ -107,11 +114,6 @@ def require(
             )
     if "t_eval" not in there:
         return
-    if "observer" in there and kind == "series":
-        raise ValueError(
-            "observer and t_eval are both given: expected one of the two with method = "
-            "'taylor'; the methods rk8pd, msadams and rodas support both"
-        )
     if "stride" in there and "observer" not in there:
         raise ValueError(
             f"stride = {arguments.shown(given['stride'])}: not used with t_eval, which sets the "
@@ -154,9 +156,10 @@ class Options(RunRecord):
 
     system: System = field(metadata=meaning("System", "The system."))
     scheme: Scheme | str | float | None = option("Scheme, str or float", """
-        A scheme, its name, or beta.  "reference" is the adaptive flow of the ODE on D, observed
-        every ``h * stride``: the best choice for short accurate runs.  Default: the cheapest scheme
-        of order 2.  It is "midpoint" if the mass matrix depends on q, the constraints are affine or
+        A scheme, its name, or beta.  "taylor" is the flow of the ODE on D by Taylor series, for
+        systems from expressions; "reference" is the same by an adaptive method.  They are the best
+        choice for accurate runs, and the default without h.  Otherwise the default is the cheapest
+        scheme of order 2.  It is "midpoint" if the mass matrix depends on q, the constraints are affine or
         nonlinear, or a force depends on v; otherwise "leapfrog".  With ``h="auto"`` it is
         "midpoint-kl8" or "leapfrog-kl8", with ``h="reversible"`` "bm6".
     """, parse=str, metavar="NAME")  # fmt: skip
@@ -174,8 +177,8 @@ class Options(RunRecord):
         require_system(given.system)
         word, named = word_of(given.h), given.scheme is not None
         scheme = Scheme.of(given.scheme) if named else Scheme.usual(given.system, word)
-        kind = kind_of(scheme, word, vars(self).get("method"))
-        found: dict[str, Any] = {"scheme": scheme}
+        kind = kind_of(scheme, word)
+        found: dict[str, Any] = {"scheme": scheme} | ({"h": word} if given.h is None else {})
         if kind == "auto":
             tolerance = TOLERANCE if given.tolerance is None else given.tolerance
             found["tolerance"] = _positive(tolerance, "tolerance")
@@ -192,6 +195,8 @@ class Options(RunRecord):
         given: Any = self
         if not isinstance(given.h, str):
             return {}
+        if given.h == "own":  # the tolerance belongs to the scheme
+            return {"h": given.h}
         numbers = {name: getattr(given, name) for name in ("tolerance", "h_max", "eps")}
         return {"h": given.h, **{name: x for name, x in numbers.items() if x is not None}}
 
@@ -199,8 +204,8 @@ class Options(RunRecord):
     def of_c(self) -> dict[str, Any]:
         """The given options that are members of ``dal_options``, by name."""
         given: Any = self
-        if given.scheme.is_reference:  # whose tolerance belongs to the scheme
-            return {}
+        if given.scheme.is_flow:  # whose tolerance belongs to the scheme
+            return {"h": "own"} if given.h == "own" else {}
         listed = options_of(type(self))
         return {name: x for name, x in vars(self).items() if x is not None and listed[name].c}
 
@@ -208,6 +213,8 @@ class Options(RunRecord):
 def in_c(values: Mapping[str, Any]) -> Any:
     """Return the shared, read-only ``dal_options`` of options by name; others are ignored."""
     listed = options_of(IntegrateOptions)
+    if values.get("h") == "own":
+        return _in_c((("own_steps", 1),))
     taken = ((listed[name], x) for name, x in values.items() if name in listed and x is not None)
     return _in_c(tuple((one.c, one.choices.get(x, x)) for one, x in taken if one.c))
 
@@ -238,8 +245,11 @@ def step(text: str) -> float | str:
 # fmt: off
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Size:
-    h: float | str = field(metadata=meaning('float, "auto" or "reversible"', """
+    h: float | str | None = option('float, "auto", "reversible" or "own"', """
         Step size; negative to integrate backwards.  A number is never changed.
+
+        "own", the default: steps of the scheme's own size, for "taylor" and "reference".  Each step
+        is stored, or every stride-th, or the states at t_eval.
 
         "auto": each step is as long as ``tolerance`` allows.  The estimate of its error costs no
         evaluation.  Requires a composition of moved nodes.  Use it if the time scale of the motion
@@ -249,7 +259,7 @@ class Size:
         time.  The energy of a reversible system then does not drift.  Use it for repeated close
         approaches over long times only.  Requires a symmetric composition and constant mass,
         without forces, inputs or dependence on time.  The run warns if irreversible steps changed
-        the energy by more than 1e-6 of the largest kinetic energy.""", parse=step, metavar="H"))
+        the energy by more than 1e-6 of the largest kinetic energy.""", parse=step, metavar="H")
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -259,7 +269,7 @@ class Extent:
         the last step ends exactly at t_end.""", read=arguments.number, parse=float, metavar="T")
     steps: int | None = option("int", """
         Number of steps, 0 is allowed.  Pass exactly one of t_end and steps; t_end if h is a word.
-    """, uses="fixed kept flow series", instead="give t_end instead, because the steps vary",
+    """, uses="fixed kept flow", instead="give t_end instead, because the steps vary",
         read=partial(arguments.integer, least=0), parse=int, metavar="N")
 
 
@@ -270,8 +280,9 @@ class Step:
     tolerance: float | None = option("float", """
         Admissible error for "auto": that of the state at t = 100, relative to ``1 + abs(x_i)``, if
         the motion is not chaotic; default 1e-9.  For "reference": relative and absolute tolerance
-        of each step, in [4.4e-16, 0.1]; default 1e-13.
-    """, uses="auto flow series", c="tolerance", parse=float, metavar="E")
+        of each step, in [4.4e-16, 0.1]; default 1e-13.  For "taylor": that of a step, relative to
+        the change of each coordinate in it; default 1e-15.
+    """, uses="auto own flow", c="tolerance", parse=float, metavar="E")
     h_max: float | None = option(
         "float", 'Longest step of "auto"; default: no limit.', uses="auto", read=_positive,
         c="h_max", parse=float, metavar="H")
@@ -315,9 +326,8 @@ class Sampling:
         then has ceil((t_end - t0) / hold) rows; default: one row for the whole run.
     """, uses=_DRIVEN, needs="inputs")
     method: str | None = option('{"rk8pd", "msadams", "rodas", "taylor"}', """
-        Method of the reference flow; default "rk8pd".  "taylor" uses Taylor series, which heyoka
-        compiles (``pip install heyoka``).  It requires a system from expressions, without events,
-        inputs or journal.""", uses="flow series", choices=METHODS)
+        Method of "reference"; default "rk8pd".  "taylor" is the scheme of this name.
+    """, uses="own flow", choices=METHODS)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -242,7 +242,7 @@ class Run:
         if system._model is not None:
             x = core.doubles(lib.dal_stepper_state(self.stepper), 2 * system.n)
             u = core.doubles(lib.dal_stepper_inputs(self.stepper), len(system.inputs))
-            near = not self.scheme.is_reference  # whose state is that before its steps
+            near = not self.scheme.is_flow  # whose state is that before its steps
             terms = symbolic.jumps.jumps(system._model, system.parameters, t, x, u, near)
             found += f"; terms that jump{' here' * near}: {', '.join(terms)}" if terms else ""
         return found

@@ -17,7 +17,7 @@ METHODS = {
     "rk8pd": lib.DAL_FLOW_RK8PD,
     "msadams": lib.DAL_FLOW_MSADAMS,
     "rodas": lib.DAL_FLOW_RODAS,
-    "taylor": -1,  # not of C: see taylor.py
+    "taylor": -1,  # a scheme of its own
 }
 NODES = {"moved": lib.DAL_MOVED_NODES, "kept": lib.DAL_KEPT_NODES}
 INITIAL = {
@@ -119,7 +119,7 @@ class Scheme:
             "explicit", "midpoint", "endpoint", a number in [0, 1] (beta), "leapfrog",
             "leapfrog-mirror"; with "-nodes" for kept nodes; "leapfrog" and "midpoint" with
             "-suzuki4", "-yoshida4", "-kl6", "-kl8", "-ss10"; "bm4", "bm6"; "pair:A:B", see `pair`;
-            "reference", the adaptive flow of the ODE on D; or ``"FILE:SYMBOL"``, see
+            "reference" or "taylor", the flow of the ODE on D; or ``"FILE:SYMBOL"``, see
             `from_library`.  ``-`` and ``_`` are equivalent.
 
         Raises
@@ -181,16 +181,43 @@ class Scheme:
 
     @classmethod
     def flow(cls, method: str = "rk8pd", tolerance: float = 1e-13) -> Scheme:
-        """Return the scheme "reference" with a method and a tolerance, as for `integrate`."""
-        number = arguments.choice(method, "method", METHODS)
-        return cls._flow(method, number, arguments.tolerance(tolerance))
+        """Return the scheme "reference" with a method and a tolerance, as for `integrate`.
+
+        The method "taylor" is the scheme of this name.
+        """
+        if arguments.choice(method, "method", METHODS) < 0:
+            return cls.taylor(tolerance)
+        return cls._flow(method, arguments.tolerance(tolerance))
+
+    @classmethod
+    def taylor(cls, tolerance: float = 1e-15) -> Scheme:
+        """Return the scheme "taylor": the flow of the ODE on D by Taylor series.
+
+        Parameters
+        ----------
+        tolerance : float, optional
+            Admissible error of a step, relative to the change of each coordinate in it, in
+            [4.4e-16, 0.1].
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Scheme.taylor(1e-9).tolerance
+        1e-09
+        """
+        return cls._taylor(arguments.tolerance(tolerance))
 
     @classmethod
     @functools.lru_cache(maxsize=64)
-    def _flow(cls, method: str, number: int, tolerance: float) -> Scheme:
-        data = ffi.NULL
-        if number >= 0:
-            data = ffi.new("dal_flow_scheme *", {"method": number, "tolerance": tolerance})
+    def _taylor(cls, tolerance: float) -> Scheme:
+        data = ffi.new("dal_taylor_scheme *", {"tolerance": tolerance})
+        return cls._of_family("taylor", ("taylor", tolerance), data)
+
+    @classmethod
+    @functools.lru_cache(maxsize=64)
+    def _flow(cls, method: str, tolerance: float) -> Scheme:
+        numbers = {"method": METHODS[method], "tolerance": tolerance}
+        data = ffi.new("dal_flow_scheme *", numbers)
         return cls._of_family("reference", ("flow", method, tolerance), data)
 
     @classmethod
@@ -254,8 +281,11 @@ class Scheme:
         For a number it is the scheme of order 2 with the cheapest steps.  It is "midpoint" if the
         mass matrix depends on q, the constraints are affine or nonlinear, or a force depends on v.
         Otherwise it is "leapfrog", which then solves its two sub-steps at once.  For "auto" it is
-        the composition of order 8 of that scheme, for "reversible" "bm6".
+        the composition of order 8 of that scheme, for "reversible" "bm6", and for "own" "taylor",
+        or "reference" if the system has no Taylor series.
         """
+        if word == "own":
+            return cls.find("taylor" if lib.dal_system_has_series(system._handle) else "reference")
         if word == "reversible":
             return cls.find("bm6")
         base = core.string(lib.dal_scheme_usual(system._handle))
@@ -285,31 +315,21 @@ class Scheme:
 
     @property
     def family(self) -> str:
-        """The family of the steps: "beta", "pair", "flow", or that of a library."""
+        """The family of the steps: "beta", "pair", "flow", "taylor", or that of a library."""
         return core.string(lib.dal_scheme_family(self._record))
 
     @property
-    def is_reference(self) -> bool:
-        """True for the reference flow, which has no sub-steps."""
-        return self.family == "flow"
-
-    @property
-    def is_series(self) -> bool:
-        """True for the reference flow by Taylor series, which C does not compute."""
-        return self._source[:2] == ("flow", "taylor")
+    def is_flow(self) -> bool:
+        """True for the flow of the ODE on D: the schemes "reference" and "taylor"."""
+        return self.family in ("flow", "taylor")
 
     @property
     def tolerance(self) -> float | None:
-        """Tolerance of the reference flow; None for other schemes."""
-        return self._source[2] if self._source[:1] == ("flow",) else None
+        """Tolerance of "reference" or "taylor" if it was given; None for other schemes."""
+        return self._source[-1] if self._source[:1] in (("flow",), ("taylor",)) else None
 
     def _record_of(self, system: System) -> tuple[Any, Any]:
         """Return the ``dal_scheme`` for a system, and the objects to keep alive."""
-        if self.is_series:
-            raise NotImplementedError(
-                "method = 'taylor' is available only in integrate and reference; here choose "
-                "rk8pd, msadams or rodas"
-            )
         if self._maps is None:
             return self._record, self
         definitions, kept = zip(*(one._definition(system.n) for one in self._maps))

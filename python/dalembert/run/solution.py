@@ -648,7 +648,7 @@ class Solution(Mapping[str, Any]):
             f"  {len(self.x)} states at t = {self.t[0]:g} .. {self.t[-1]:g}{every}",
         ]
         known = not np.isnan(self.stats.worst_residual)  # that of a journal is not
-        if known and not self.scheme.is_reference and self.system.m > 0:
+        if known and self.scheme.family != "flow" and self.system.m > 0:
             size = f"{self.stats.worst_residual:.1e}"
             lines.append(f"  constraint{where}: relative residual at most {size}")
         if np.isinf(self.stats.error):

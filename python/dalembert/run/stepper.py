@@ -62,7 +62,7 @@ class Stepper:
         self._t0, self._control = asked.t0, asked.control
         assert isinstance(scheme, Scheme)
         self.system, varies = system, bool(self._control)
-        self.scheme = scheme if varies else with_method(scheme, None, asked.tolerance)
+        self.scheme = with_method(scheme, None, asked.tolerance if scheme.is_flow else None)
         self._first = math.inf if varies else arguments.step_size(asked.h, self._t0)
         self._how = CONSISTENCY[asked.consistent], scheme._initial(asked.initial)
         self._x0 = geometry.initial_state(system, asked.q0, asked.v0)

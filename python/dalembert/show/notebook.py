@@ -81,7 +81,7 @@ def _kept(self: Solution) -> str:
     if self.system.m == 0:
         return "no constraints"
     size, where = self.stats.worst_residual, "after every step"
-    if math.isnan(size) or self.scheme.is_reference:
+    if math.isnan(size) or self.scheme.is_flow:
         rows = panels.some(self)[int(self.nodes == "kept") :]  # which may start in D
         state = self.q[rows], self.v[rows], self.shift, self.t[rows]
         size = float(max(geometry.relative_residual(self.system, *state), default=0.0))

@@ -495,7 +495,7 @@ def embedding(
     """
     require_autonomous(system, "an embedding")
     scheme = Scheme.of(scheme)
-    if scheme.is_reference:
+    if scheme.is_flow:
         raise ValueError("scheme = 'reference': expected a scheme with a fixed step h")
     h = arguments.number(h, "h")
     order = None if order is None else arguments.integer(order, "order", 1, 2**31 - 1)

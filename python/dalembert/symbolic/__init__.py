@@ -16,7 +16,6 @@ given = Later(__name__, "given")
 jumps = Later(__name__, "jumps")
 mechanisms = Later(__name__, "mechanisms")
 model = Later(__name__, "model")
-series = Later(__name__, "series")
 symbols = Later(__name__, "symbols")
 
 
