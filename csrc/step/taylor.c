@@ -55,6 +55,8 @@ typedef struct taylor {
     double *from, *from_low; /* [width] */
     double *x, row_t;        /* [2n] that state, and its time */
     double *input;           /* [inputs] of the piece */
+    double *side, *crossed;  /* [switches] of series.h; the order of their zeros at t, 0 for none */
+    size_t switched;         /* the switch at which the piece ends, or the number of switches */
     double *coefficients, *rates, *work; /* aligned to ALIGNED */
     bool going;              /* the piece leads on from x, */
     bool stale;              /* but its coefficients are not those of y */
@@ -106,6 +108,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     DAL__RESERVE(&memory, shape.width + spare, &shape.change);
     DAL__RESERVE(&memory, 2 * def->n, &shape.x);
     DAL__RESERVE(&memory, def->inputs, &shape.input);
+    DAL__RESERVE(&memory, series->switches, &shape.side, &shape.crossed);
     DAL__RESERVE(&memory, rows * shape.width + spare, &shape.coefficients);
     DAL__RESERVE(&memory, 2 * shape.width + spare, &shape.rates);
     DAL__RESERVE(&memory, rows * series->room + spare, &shape.work);
@@ -161,7 +164,8 @@ static void state_at(taylor *self, double s, double *y, double *low)
 static void expand(taylor *self, const dal_motion *motion, double t, const double *y,
                    const double *low, size_t order, double *coefficients)
 {
-    const dal_series_at at = {.t = t, .unit = self->unit, .y = y, .low = low, .u = self->input};
+    const dal_series_at at = {.t = t, .unit = self->unit, .y = y, .low = low, .u = self->input,
+                              .side = self->side};
     self->series->expand(&at, order, coefficients, self->work, motion->system->def.ctx);
     motion->stats->evaluations++;
 }
@@ -219,6 +223,15 @@ static int fail_to_go_on(taylor *self, dal_motion *motion, double length)
                      "\"reference\" needs no series", length, self->t);
 }
 
+/* Either side of a switch leads back to the other. */
+static int fail_to_slide(taylor *self, dal_motion *motion)
+{
+    return dal__fail(motion->error, DAL_ENOCONV, "at t = %.17g the force jumps so that either side "
+                     "of the jump leads back to it. For dry friction use a smooth law, such as "
+                     "tanh(v/eps) for sign(v), or switch between two systems at a terminal event",
+                     self->t);
+}
+
 static int fail_not_finite(taylor *self, dal_motion *motion)
 {
     dal_mechanics *const mech = motion->mechanics;
@@ -254,6 +267,124 @@ static int expand_piece(taylor *self, dal_motion *motion, double *units)
     return fail_not_finite(self, motion);
 }
 
+/* ---- switches ---------------------------------------------------------------------------- */
+
+static const double *switch_at(const taylor *self, size_t i)
+{
+    return self->coefficients + self->states + i;
+}
+
+static double direction_of(const dal_motion *motion) { return motion->h > 0.0 ? 1.0 : -1.0; }
+
+/* side and crossed of a switch: its sign at the beginning of the piece, or right after it. */
+static void find_side(taylor *self, size_t i, double direction)
+{
+    const double *const g = switch_at(self, i);
+    double ahead = 1.0;
+    self->side[i] = self->crossed[i] = 0.0;
+    for (size_t k = 0; k < self->order; k++, ahead *= direction)
+        if (g[k * self->width] != 0.0) {
+            self->side[i] = copysign(1.0, ahead * g[k * self->width]);
+            self->crossed[i] = (double)k;
+            return;
+        }
+}
+
+/* The coefficients with the sides that belong to them, where a side is 0 as not known yet. */
+static int expand_on_sides(taylor *self, dal_motion *motion, double *units)
+{
+    const size_t switches = self->series->switches;
+    for (size_t pass = 0; pass <= 2 * switches + 1; pass++) {
+        bool changed = false;
+        const int status = expand_piece(self, motion, units);
+        if (status) return status;
+        for (size_t i = 0; i < switches; i++) {
+            if (self->side[i] != 0.0) continue;
+            find_side(self, i, direction_of(motion));
+            changed = changed || self->side[i] != 0.0;
+        }
+        if (!changed) return DAL_SUCCESS;
+    }
+    return DAL_SUCCESS;
+}
+
+/* Of a switch: the factor of its sign, its coefficients by the distance from where the piece
+ * begins.  A zero that it has there is divided out. */
+typedef struct sign_change {
+    const double *g;
+    size_t count, next;
+    double side, direction;
+} sign_change;
+
+static double value_at(const sign_change *of, double r, double *slope)
+{
+    double sum = 0.0, rate = 0.0;
+    for (size_t k = of->count; k-- > 0;) {
+        rate = rate * r + sum;
+        sum = sum * r + (k % 2 == 0 ? 1.0 : of->direction) * of->g[k * of->next];
+    }
+    *slope = of->side * rate;
+    return of->side * sum;
+}
+
+/* How fast it may change up to r, at most. */
+static double steepest(const sign_change *of, double r)
+{
+    double sum = 0.0;
+    for (size_t k = of->count; k-- > 1;)
+        sum = sum * r + (double)k * fabs(of->g[k * of->next]);
+    return sum;
+}
+
+/* The first distance up to end at which the sign changes; end if it does not.  No step from a value
+ * v is longer than v over the steepest slope, so no change is missed but between two that are
+ * closer together than a FINEST part of the piece. */
+static double first_change(const sign_change *of, double end)
+{
+    static const double FINEST = 1e-7;
+    const double steep = steepest(of, end);
+    double r = 0.0, slope, value = value_at(of, r, &slope);
+    if (!(value > 0.0)) return 0.0;
+    while (r < end) {
+        double low = r, high = fmin(end, r + fmax(value / steep, FINEST * end));
+        const double guess = slope < 0.0 ? r - 2.0 * value / slope : end;
+        double beyond = value_at(of, high, &slope);
+        if (beyond > 0.0 && guess > high && guess - r <= 4.0 * (high - r)) {
+            double steeper;
+            const double there = value_at(of, fmin(guess, end), &steeper);
+            if (!(there > 0.0)) low = high, high = fmin(guess, end), beyond = there;
+        }
+        if (!(beyond > 0.0)) {
+            for (;;) {
+                const double middle = low + 0.5 * (high - low);
+                if (middle <= low || middle >= high) return high;
+                if (value_at(of, middle, &slope) > 0.0) low = middle;
+                else high = middle;
+            }
+        }
+        value = beyond;
+        r = high;
+    }
+    return end;
+}
+
+/* Shortens the piece, of so many units, to the first change of a switch. */
+static double until_switch(taylor *self, double direction, double units)
+{
+    self->switched = self->series->switches;
+    for (size_t i = 0; i < self->series->switches; i++) {
+        const size_t zeros = (size_t)self->crossed[i];
+        const sign_change of = {.g = switch_at(self, i) + zeros * self->width,
+                                .count = self->order - zeros, .next = self->width,
+                                .side = self->side[i] * (zeros % 2 == 0 ? 1.0 : direction),
+                                .direction = direction};
+        if (self->side[i] == 0.0) continue;
+        const double change = first_change(&of, units);
+        if (change < units) self->switched = i, units = change;
+    }
+    return units;
+}
+
 /* Whether the polynomial of the piece solves the ODE where it ends. */
 static bool solves_at_end(taylor *self, const dal_motion *motion)
 {
@@ -270,10 +401,25 @@ static bool solves_at_end(taylor *self, const dal_motion *motion)
         double size = fabs(self->rates[width + i]);
         for (size_t k = 1; k <= 3; k++)
             size = fmax(size, fabs(self->coefficients[k * width + i]));
-        const double roundoff = DAL_ROUNDOFF * (double)self->order * fabs(self->y[i]);
+        const bool is_q = i < self->n;
+        const double *const kind = self->y + (is_q ? 0 : self->n);
+        const double roundoff = DAL_ROUNDOFF * (double)self->order
+                              * dal__largest(is_q ? self->n : self->states - self->n, kind);
         const double difference = fabs(self->slope[i] - self->rates[width + i]);
         if (!(difference <= allowed_slope(self->tolerance) * size + roundoff)) return false;
     }
+    return true;
+}
+
+/* On the other side of the switch at which the piece ends.  Returns false if it has just been
+ * crossed. */
+static bool cross(taylor *self)
+{
+    const size_t i = self->switched;
+    if (i == self->series->switches) return true;
+    if (self->crossed[i] != 0.0) return false;
+    self->crossed[i] = 1.0;
+    self->side[i] *= -1.0;
     return true;
 }
 
@@ -281,19 +427,26 @@ static bool solves_at_end(taylor *self, const dal_motion *motion)
 static int begin_piece(taylor *self, dal_motion *motion)
 {
     enum { HALVINGS = 60 };
-    const double direction = motion->h > 0.0 ? 1.0 : -1.0, last = self->last_length;
-    double units;
-    const int status = expand_piece(self, motion, &units);
-    if (status) return status;
-    double length = fmin(units, LONGEST) * self->unit;
-    const bool suspicious =
-        last == 0.0 || length > GROWTH * last || self->series->is_branched;
-    for (int k = 0;; k++, length *= 0.5) {
+    const double direction = direction_of(motion), last = self->last_length;
+    double units, length;
+    for (;;) {
+        const int status = expand_on_sides(self, motion, &units);
+        if (status) return status;
+        length = until_switch(self, direction, fmin(units, LONGEST)) * self->unit;
         self->end = self->t + direction * length;
-        if (self->end == self->t || k == HALVINGS) return fail_to_go_on(self, motion, length);
-        if (!suspicious || solves_at_end(self, motion)) break;
+        if (self->end != self->t || self->switched == self->series->switches) break;
+        if (!cross(self)) return fail_to_slide(self, motion);
     }
-    self->last_length = length;
+    const bool suspicious =
+        last == 0.0 || !(units * self->unit <= GROWTH * last) || self->series->is_branched;
+    for (int k = 0; self->end == self->t || (suspicious && !solves_at_end(self, motion)); k++) {
+        if (self->end == self->t || k == HALVINGS) return fail_to_go_on(self, motion, length);
+        units = length *= 0.5;
+        units /= self->unit;
+        self->end = self->t + direction * length;
+        self->switched = self->series->switches;
+    }
+    self->last_length = units < HUGE_VAL ? units * self->unit : fmax(length, self->unit);
     self->stale = false;
     return DAL_SUCCESS;
 }
@@ -336,6 +489,8 @@ static int next_piece(taylor *self, dal_motion *motion, double until)
     if (status) return status;
     state_at(self, (self->end - self->t) / self->unit, self->y, self->low);
     self->t = self->end;
+    for (size_t i = 0; i < self->series->switches; i++) self->crossed[i] = 0.0;
+    (void)cross(self);
     const double relative = self->last_length / self->unit;
     if (relative < 0.25 || relative > 4.0) self->unit = power_of_2(self->last_length);
     if (!self->series->in_D) status = stay_in_D(self, motion);
@@ -367,6 +522,7 @@ static int begin(taylor *self, dal_motion *motion, double t)
         self->series->quasi(t, motion->x, self->input, self->y + n, motion->system->def.ctx);
     self->t = self->row_t = t;
     self->last_length = 0.0;
+    for (size_t i = 0; i < self->series->switches; i++) self->side[i] = self->crossed[i] = 0.0;
     if (self->unit == 0.0) self->unit = power_of_2(fabs(motion->h));
     memcpy(self->x, motion->x, 2 * n * sizeof(double));
     memcpy(self->row, self->y, size);
@@ -394,7 +550,7 @@ static int follow(taylor *self, dal_motion *motion, double t)
 /* The state at t. */
 static int reach(taylor *self, dal_motion *motion, double t)
 {
-    const double direction = motion->h > 0.0 ? 1.0 : -1.0;
+    const double direction = direction_of(motion);
     int status = DAL_SUCCESS;
     while (!status && direction * (t - self->end) > 0.0) status = next_piece(self, motion, t);
     if (!status) {
@@ -438,21 +594,32 @@ static size_t save(const void *method, double *values)
     const double *const numbers[] = {&self->tolerance, &self->unit, &self->t, &self->end,
                                      &self->row_t, &self->last_length};
     const double *const states[] = {self->y, self->low, self->row, self->row_low};
-    const size_t inputs = self->inputs;
+    const size_t inputs = self->inputs, switches = self->series->switches;
     for (size_t i = 0; values && i < DAL_LENGTH(numbers); i++) *values++ = *numbers[i];
     for (size_t i = 0; values && i < DAL_LENGTH(states); i++, values += self->states)
         memcpy(values, states[i], self->states * sizeof *values);
-    if (values && inputs > 0) memcpy(values, self->input, inputs * sizeof *values);
-    if (values) values[inputs] = self->going;
-    return DAL_LENGTH(numbers) + DAL_LENGTH(states) * self->states + inputs + 1;
+    if (values) {
+        if (inputs > 0) memcpy(values, self->input, inputs * sizeof *values);
+        values += inputs;
+        for (size_t i = 0; i < switches; i++) {
+            *values++ = self->side[i];
+            *values++ = self->crossed[i];
+        }
+        values[0] = (double)self->switched;
+        values[1] = self->going;
+    }
+    return DAL_LENGTH(numbers) + DAL_LENGTH(states) * self->states + inputs + 2 * switches + 2;
 }
+
 
 static int accepts(const void *method, const double *values)
 {
     const taylor *const self = method;
-    const double going = values[save(self, NULL) - 1];
-    return values[0] == self->tolerance && values[1] >= 0.0 && (going == 0.0 || going == 1.0)
-        && (going == 0.0 || values[1] > 0.0);
+    const double *const last = values + save(self, NULL) - 2;
+    return values[0] == self->tolerance && values[1] >= 0.0
+        && (last[1] == 0.0 || (last[1] == 1.0 && values[1] > 0.0))
+        && last[0] >= 0.0 && last[0] <= (double)self->series->switches
+        && floor(last[0]) == last[0];
 }
 
 static void restore(void *method, const double *values)
@@ -465,8 +632,15 @@ static void restore(void *method, const double *values)
     for (size_t i = 0; i < DAL_LENGTH(numbers); i++) *numbers[i] = *values++;
     for (size_t i = 0; i < DAL_LENGTH(states); i++, values += self->states)
         memcpy(states[i], values, self->states * sizeof *values);
-    if (self->inputs > 0) memcpy(self->input, values, self->inputs * sizeof *values);
-    self->going = self->stale = self->fresh = values[self->inputs] == 1.0;
+    const size_t inputs = self->inputs, switches = self->series->switches;
+    if (inputs > 0) memcpy(self->input, values, inputs * sizeof *values);
+    values += inputs;
+    for (size_t i = 0; i < switches; i++) {
+        self->side[i] = *values++;
+        self->crossed[i] = *values++;
+    }
+    self->switched = (size_t)values[0];
+    self->going = self->stale = self->fresh = values[1] == 1.0;
 }
 
 const dal_family dal__family_taylor = {

@@ -27,14 +27,17 @@ typedef struct dal_series_at {
     double unit;           /* of the coefficients, a power of 2 */
     const double *y, *low; /* [width] the numbers, and their parts below the last digit */
     const double *u;       /* [inputs] */
+    const double *side;    /* [switches] 1, -1, or 0 for a switch that is 0 */
 } dal_series_at;
 
 /* The series of a system.  The pointer p is ctx of its definition. */
 #define DAL_SERIES_ABI 1u
 typedef struct dal_series {
     unsigned abi;    /* DAL_SERIES_ABI, as the compiler saw it */
-    size_t states;   /* of y; the arrays of y have a multiple of four numbers: */
-    size_t width;
+    size_t states;   /* of y */
+    size_t switches; /* series that follow on those of y: until one of them changes its sign,
+                        functions such as maxima have the branches of these sides */
+    size_t width;    /* of both together, a multiple of four */
     size_t room;     /* numbers of workspace for each order */
     int in_D;        /* 1: v is in D for all y; 0: w is v */
     int is_branched; /* 1: a function has branch points, which a series can pass unnoticed */

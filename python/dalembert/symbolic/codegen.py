@@ -19,7 +19,6 @@ from .model import Model
 from .motion import motion
 from .pattern import MOST, field_zeros, pattern
 from .printing import LANES, C, Program, Text, spelled
-from .recurrences import NoSeriesError
 
 GENERATOR = 4  # changes with what is generated, as the files of this module do
 
@@ -128,7 +127,8 @@ def program(
         if lanes:
             _lanes(body, model)
         _compiled(body, model, lanes)
-    has_series = not lanes and _series(body, model)
+    if not lanes:
+        expansion(body, model, motion(model))
     if any("MODEL_CUT" in line for line in body.lines):
         made.add(_CUT)
     for helper, rest in _HELPERS.items():
@@ -140,7 +140,7 @@ def program(
     if model.parameters:
         _parameters(made, model)
     definition = _definition(model, fast, compact)
-    if has_series:
+    if not lanes:
         definition.append(".series = &model_series")
     if name is None:
         _for_the_package(made, model, definition)
@@ -392,15 +392,6 @@ def _compiled(made: Program, model: Model, lanes: bool) -> None:
         f"{'model_lanes' if lanes else 'NULL'}, "
         f"{'model_field' if model.n <= MOST else 'NULL'}}};\n"
     )
-
-
-def _series(made: Program, model: Model) -> bool:
-    """Write the Taylor series; return whether the model has them."""
-    try:
-        expansion(made, model, motion(model))
-    except NoSeriesError:
-        return False
-    return True
 
 
 _INSIDE = {

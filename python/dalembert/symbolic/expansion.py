@@ -30,7 +30,8 @@ class Writer:
         self.series, self._places, self._below = series, places, low
         self._number = {e: i for i, e in enumerate(series.nodes)}
         self.vectors = -(-len(series.pairs) // 4)
-        self.width = -(-len(series.states) // 4) * 4
+        columns = len(series.states) + len(series.switches)
+        self.width = -(-columns // 4) * 4
         self._low: dict[Node, str | None] = {}
 
     def lines(self) -> list[str]:
@@ -42,10 +43,10 @@ class Writer:
         found += [f"const double f{self._number[e]} = {self._slope(e)};" for e in live
                   if series.degree[e] == 1]  # fmt: skip
         found += [f"double b{self._number[e]} = {self.zeroth(e)};" for e in self._before()]
-        for i, (x, rate) in enumerate(series.states.items()):
-            found.append(f"Y[{i}] = {self.zeroth(x)};")
-            found.append(f"double d{i} = unit * {self._part(rate)};")
-        found += [f"Y[{i}] = 0.0;" for i in range(len(states), self.width)]
+        found += [f"Y[{i}] = {self.zeroth(x)};" for i, x in enumerate(self._columns())]
+        found += [f"double d{i} = unit * {self._part(rate)};"
+                  for i, rate in enumerate(series.states.values())]  # fmt: skip
+        found += [f"Y[{i}] = 0.0;" for i in range(len(self._columns()), self.width)]
         found.append("for (size_t k = 1; k < order; k++) {")
         found += [f"    {line}" for line in self._loop()]
         found.append("}")
@@ -53,6 +54,10 @@ class Writer:
         found += [f"Y[order * {self.width} + {i}] = {last.format(i)};" for i in range(len(states))]
         found += [f"Y[order * {self.width} + {i}] = 0.0;" for i in range(len(states), self.width)]
         return found
+
+    def _columns(self) -> list[Node]:
+        """Return the series whose coefficients are given to the caller."""
+        return [*self.series.states, *self.series.switches]
 
     def _before(self) -> list[Node]:
         """Return the series whose coefficient of the order before is needed."""
@@ -77,6 +82,9 @@ class Writer:
             if e.op in ("number", "constant", "nan"):
                 continue
             kind = "int" if e.op in CONDITIONS else "double"
+            if e in self.series.sides:
+                found.append(f"const {kind} a{self._number[e]} = {self._branch(e, e.args, 0)};")
+                continue
             found.append(f"const {kind} a{self._number[e]} = {self._value(e)};")
             if e.op in ("sin", "cos") and (low := self.low(e.args[0])):
                 pair, sign = ("cos", "+") if e.op == "sin" else ("sin", "-")
@@ -96,6 +104,22 @@ class Writer:
         if e.op in C.forms:
             return C.forms[e.op].format(*args)
         return f"{C.names.get(e.op, e.op)}({', '.join(args)})"
+
+    def _branch(self, e: Node, args: Sequence[Node], order: int) -> str:
+        """Return the coefficient of a function with branches: of order 0, or k."""
+        switch, sign = self.series.sides[e]
+        side = f"at->side[{switch}]" if sign > 0 else f"-at->side[{switch}]"
+        parts = [self._part(a) if order == 0 else self.kth(a) or "0.0" for a in args]
+        if e.op in _SIDES:
+            return f"({side}) {_SIDES[e.op]} 0.0"
+        if e.op == "step":
+            return f"model_step({side}, {parts[1]})"
+        if order == 0 and e.op in ("max", "min", "fabs"):  # which are not negative at a switch
+            return f"{C.names.get(e.op, e.op)}({', '.join(parts)})"
+        if e.op in ("max", "min"):
+            one, other = parts if e.op == "max" else parts[::-1]
+            return f"({side}) >= 0.0 ? {one} : {other}"
+        return side if e.op == "sign" else f"({side}) * {parts[0]}"
 
     def zeroth(self, e: Node) -> str:
         """Return the name, or the text, of the coefficient of order 0."""
@@ -174,10 +198,9 @@ class Writer:
             return None
         if e.op == "/":
             return f"1.0 / {self._part(e.args[1])}"
-        if e.op == "sqrt":
-            return f"0.5 / {self.zeroth(e)}"
-        if e.op == "power":
-            return f"1.0 / {self._part(e.args[0])}"
+        if e.op in ("sqrt", "power"):  # 0 stays 0, which the caller examines, see is_branched
+            one, divisor = ("0.5", e) if e.op == "sqrt" else ("1.0", e.args[0])
+            return f"{self._part(divisor)} == 0.0 ? 0.0 : {one} / {self._part(divisor)}"
         if e.op == "atan2" or (e.op in RULES and RULES[e.op].is_quotient):
             return f"1.0 / {self._part(self.series.other[e])}"
         return None
@@ -196,13 +219,15 @@ class Writer:
                 found.append(f"Y[k * {self.width} + {i}] = c{self._number[x]};")
             else:
                 found.append(f"Y[k * {self.width} + {i}] = 0.0;")
-        found += [f"Y[k * {self.width} + {i}] = 0.0;"
-                  for i in range(len(series.states), self.width)]  # fmt: skip
         for e in series.nodes:
             if series.degree[e] > 0 and e not in series.states:
                 is_linear = series.degree[e] == 1
                 text = f"k == 1 ? f{self._number[e]} : 0.0" if is_linear else self._order(e)
                 found.append(f"const double c{self._number[e]} = {text};")
+        for i, e in enumerate([*series.switches, *[None] * self.width], len(series.states)):
+            if i < self.width:
+                text = self.kth(e) if e is not None else None
+                found.append(f"Y[k * {self.width} + {i}] = {text or '0.0'};")
         for name, side in (("A", 0), ("B", 1)):
             operands = [self._operand(pair[side]) for pair in series.pairs]
             operands += ["0.0"] * (4 * self.vectors - len(operands))
@@ -236,6 +261,10 @@ class Writer:
             if k[0] and k[1]:
                 return f"{k[0]} {op} {k[1]}"
             return k[0] or (k[1] or "0.0" if op == "+" else f"-{k[1]}")
+        if e in series.sides:
+            return self._branch(e, e.args, 1)
+        if op == "choose":
+            return f"{self.zeroth(e.args[0])} ? {k[1] or '0.0'} : {k[2] or '0.0'}"
         if op == "*":
             return self._times(e, M)
         if op == "/":
@@ -286,13 +315,7 @@ class Writer:
 
 
 def expansion(made: Program, model: Model, motion: Motion) -> None:
-    """Write the series of a model, as a ``dal_series``.
-
-    Raises
-    ------
-    NoSeriesError
-        If a function has none.
-    """
+    """Write the series of a model, as a ``dal_series``."""
     read = model.derived.read
     q, p, u = ([read(x) for x in part] for part in (model.q, model.p, model.u))
     time = read(TIME)
@@ -316,10 +339,13 @@ def expansion(made: Program, model: Model, motion: Motion) -> None:
     _values(made, "quasi", "t, x, u, w, p", motion.quasi, x, time)
     made.add(
         "static const dal_series model_series = {\n"
-        f"    DAL_SERIES_ABI, {len(y)}, {width}, {8 * vectors}, {int(motion.in_D)}, {int(series.is_branched)},\n"
+        f"    DAL_SERIES_ABI, {len(y)}, {len(series.switches)}, {width}, {8 * vectors}, {int(motion.in_D)}, {int(series.is_branched)},\n"
         "    model_expand, model_decay, model_sum, model_velocity, model_quasi};\n#endif\n"
     )
 
+
+# A comparison of two numbers is one of the side of their difference with 0.
+_SIDES = {"<": "<", "<=": "<=", "==": "==", "!=": "!="}
 
 _EXPAND = """static void model_expand(const dal_series_at *at, size_t order, double *Y, double *work,
                          const void *parameters)

@@ -11,6 +11,9 @@ of itself up to k-1.  See series.h for the convolutions.  With c for the result:
     c' b = a'      b_0 k c_k = k a_k - sum j c_j b_(k-j), as for log, asin, ...
 
 A series has degree 0 or 1 if it is constant or linear in t, and takes no convolution then.
+
+A function with branches, such as a maximum, has the series of one of them until a switch changes
+its sign: the difference of its arguments.
 """
 
 from __future__ import annotations
@@ -26,15 +29,12 @@ from .graph import CONDITIONS, Graph, Node, below, mask_of
 # Degree of a series that does not end.
 ENDLESS = 2
 
-# What are constant between switches.
-_PIECES = ("max", "min", "fabs", "sign", "step", "choose", *CONDITIONS)
+_COMPARED = ("max", "min", "<", "<=", "==", "!=")
+_ALONE = ("fabs", "sign", "step")
+_CONSTANT = ("sign", "step", *CONDITIONS)  # between switches
 
 # Functions with branch points: beyond one the series of another branch may seem to converge.
 _BRANCHED = ("power", "sqrt", "log", "asin", "acos", "acosh", "atanh", "atan2")
-
-
-class NoSeriesError(ValueError):
-    """A function that has no Taylor series where it jumps or has a kink; the node is args[0]."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +160,10 @@ class Series:
     degree : dict of Node to int
     pairs : dict of tuple to int
         The operands of each convolution, and its number.
+    switches : dict of Node to int
+        The series whose signs determine branches, numbered.
+    sides : dict of Node to tuple of int
+        The number of the switch of a function with branches, and the factor of its sign.
     is_branched : bool
         Whether a function has branch points.
     """
@@ -171,13 +175,12 @@ class Series:
         self.states = {x: next(prepared) for x in symbols}
         self.time = next(prepared)
         self.other: dict[Node, Node] = {}
+        self.switches: dict[Node, int] = {}
+        self.sides: dict[Node, tuple[int, int]] = {}
         self._complete()
-        every = [*self.states, *self.states.values(), *self.other.values()]
+        every = [*self.states, *self.states.values(), *self.other.values(), *self.switches]
         self.nodes = below(every)
         self.degree = self._degrees()
-        for e in self.nodes:
-            if self.degree[e] > 0 and (e.op in _PIECES or e.op == "nan"):
-                raise NoSeriesError(e)
         self.is_branched = any(e.op in _BRANCHED and self.degree[e] > 0 for e in self.nodes)
         self.pairs: dict[Pair, int] = {}
         for e in self.nodes:
@@ -186,20 +189,25 @@ class Series:
 
     def _complete(self) -> None:
         """Find what the recurrences of functions need besides their arguments."""
+        changing = mask_of([*self.states, self.time])
         left = below([*self.states, *self.states.values()])
         while left:
             e = left.pop()
             graph = e.graph
-            if e in self.other:
+            if e in self.other or e in self.sides or not e.reach & changing:
                 continue
             if e.op in RULES:
-                self.other[e] = RULES[e.op].other(graph, e.args[0], e)
+                found = self.other[e] = RULES[e.op].other(graph, e.args[0], e)
             elif e.op == "atan2":
                 y, x = e.args
-                self.other[e] = graph.make("+", _square(graph, x), _square(graph, y))
+                found = self.other[e] = graph.make("+", _square(graph, x), _square(graph, y))
+            elif e.op in (*_COMPARED, *_ALONE):
+                other = e.args[1] if e.op in _COMPARED else graph.zero
+                found, sign = _difference(e.args[0], other)
+                self.sides[e] = self.switches.setdefault(found, len(self.switches)), sign
             else:
                 continue
-            left += below([self.other[e]])
+            left += below([found])
 
     def _degrees(self) -> dict[Node, int]:
         """Return the degree of each series: the least that the rates allow."""
@@ -221,6 +229,10 @@ class Series:
             return states[e]
         if e is self.time:
             return 1
+        if e.op in _CONSTANT:
+            return 0
+        if e.op == "choose":
+            return ENDLESS if max(degree[a] for a in e.args[1:]) > 0 else 0
         of_args = [degree[a] for a in e.args]
         largest = max(of_args, default=0)
         if e.op in ("+", "-") or (e.op == "*" and min(of_args) == 0):
@@ -252,6 +264,19 @@ class Series:
             is_linear = degree[e.args[0]] == 1
             return [] if is_linear else [((e.args[0], True), (self.other[e], False))]
         return []
+
+
+def _difference(a: Node, b: Node) -> tuple[Node, int]:
+    """Return the difference of two nodes up to a factor, and the sign of the factor."""
+    if a.is_zero:
+        found, sign = _difference(b, a)
+        return found, -sign
+    if b.is_zero:
+        if a.op == "*" and a.args[0].op == "number":  # as of -x
+            return a.args[1], 1 if a.args[0].value > 0 else -1
+        return a, 1
+    one, other = sorted((a, b), key=lambda e: e.index)
+    return a.graph.make("-", one, other), 1 if one is a else -1
 
 
 def _pair(a: Node, b: Node) -> Pair:
