@@ -165,7 +165,7 @@ static void expand(taylor *self, const dal_motion *motion, double t, const doubl
                    const double *low, size_t order, double *coefficients)
 {
     const dal_series_at at = {.t = t, .unit = self->unit, .y = y, .low = low, .u = self->input,
-                              .side = self->side};
+                              .side = self->side, .crossed = self->crossed};
     self->series->expand(&at, order, coefficients, self->work, motion->system->def.ctx);
     motion->stats->evaluations++;
 }

@@ -28,6 +28,7 @@ typedef struct dal_series_at {
     const double *y, *low; /* [width] the numbers, and their parts below the last digit */
     const double *u;       /* [inputs] */
     const double *side;    /* [switches] 1, -1, or 0 for a switch that is 0 */
+    const double *crossed; /* [switches] not 0 for one that is 0 at t, but for roundoff */
 } dal_series_at;
 
 /* The series of a system.  The pointer p is ctx of its definition. */

@@ -99,6 +99,8 @@ class Writer:
         if e.op == "symbol":
             return self._places[e.value]
         args = [self.zeroth(a) for a in e.args]
+        if e.op in ("sqrt", "power"):
+            args[0] = self._base(e.args[0])
         if e.op in ("+", "-", "*", "/"):
             return f" {e.op} ".join(f"({x})" if x[0] == "-" else x for x in args)
         if e.op in C.forms:
@@ -114,12 +116,23 @@ class Writer:
             return f"({side}) {_SIDES[e.op]} 0.0"
         if e.op == "step":
             return f"model_step({side}, {parts[1]})"
-        if order == 0 and e.op in ("max", "min", "fabs"):  # which are not negative at a switch
-            return f"{C.names.get(e.op, e.op)}({', '.join(parts)})"
         if e.op in ("max", "min"):
             one, other = parts if e.op == "max" else parts[::-1]
             return f"({side}) >= 0.0 ? {one} : {other}"
         return side if e.op == "sign" else f"({side}) * {parts[0]}"
+
+    def _base(self, e: Node) -> str:
+        """Return the base of a root or a power: at a switch the value of the other branch.
+
+        A base such as Max(0, x) is then 0, where rounding may make it negative, or so small that no
+        step leads on.
+        """
+        if e not in self.series.sides or e.op not in ("max", "min"):
+            return self.zeroth(e)
+        switch, sign = self.series.sides[e]
+        ahead = f"at->side[{switch}]" if (sign > 0) == (e.op == "max") else f"-at->side[{switch}]"
+        one, other = map(self._part, e.args)
+        return f"at->crossed[{switch}] == 0.0 ? {self.zeroth(e)} : {ahead} < 0.0 ? {one} : {other}"
 
     def zeroth(self, e: Node) -> str:
         """Return the name, or the text, of the coefficient of order 0."""
@@ -199,8 +212,9 @@ class Writer:
         if e.op == "/":
             return f"1.0 / {self._part(e.args[1])}"
         if e.op in ("sqrt", "power"):  # 0 stays 0, which the caller examines, see is_branched
-            one, divisor = ("0.5", e) if e.op == "sqrt" else ("1.0", e.args[0])
-            return f"{self._part(divisor)} == 0.0 ? 0.0 : {one} / {self._part(divisor)}"
+            one = "0.5" if e.op == "sqrt" else "1.0"
+            divisor = self.zeroth(e) if e.op == "sqrt" else f"({self._base(e.args[0])})"
+            return f"{divisor} == 0.0 ? 0.0 : {one} / {divisor}"
         if e.op == "atan2" or (e.op in RULES and RULES[e.op].is_quotient):
             return f"1.0 / {self._part(self.series.other[e])}"
         return None
