@@ -56,6 +56,7 @@ typedef struct taylor {
     double *x, row_t;        /* [2n] that state, and its time */
     double *input;           /* [inputs] of the piece */
     double *side, *crossed;  /* [switches] of series.h; the order of their zeros at t, 0 for none */
+    double *none;            /* [switches] zeros */
     size_t switched;         /* the switch at which the piece ends, or the number of switches */
     double *coefficients, *rates, *work; /* aligned to ALIGNED */
     bool going;              /* the piece leads on from x, */
@@ -108,7 +109,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     DAL__RESERVE(&memory, shape.width + spare, &shape.change);
     DAL__RESERVE(&memory, 2 * def->n, &shape.x);
     DAL__RESERVE(&memory, def->inputs, &shape.input);
-    DAL__RESERVE(&memory, series->switches, &shape.side, &shape.crossed);
+    DAL__RESERVE(&memory, series->switches, &shape.side, &shape.crossed, &shape.none);
     DAL__RESERVE(&memory, rows * shape.width + spare, &shape.coefficients);
     DAL__RESERVE(&memory, 2 * shape.width + spare, &shape.rates);
     DAL__RESERVE(&memory, rows * series->room + spare, &shape.work);
@@ -165,7 +166,8 @@ static void expand(taylor *self, const dal_motion *motion, double t, const doubl
                    const double *low, size_t order, double *coefficients)
 {
     const dal_series_at at = {.t = t, .unit = self->unit, .y = y, .low = low, .u = self->input,
-                              .side = self->side, .crossed = self->crossed};
+                              .side = self->side,
+                              .crossed = t == self->t ? self->crossed : self->none};
     self->series->expand(&at, order, coefficients, self->work, motion->system->def.ctx);
     motion->stats->evaluations++;
 }
