@@ -35,7 +35,7 @@ def _generator() -> str:
     names = (
         "formula.py", "symbols.py", "graph.py", "reading.py", "functions.py", "printing.py",
         "walls.py", "values.py", "derive.py", "model.py", "zeros.py", "pattern.py",
-        "constructor.py", "codegen.py",
+        "constructor.py", "codegen.py", "forms.py", "convolutions.py", "reduced.py",
     )  # fmt: skip
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 
