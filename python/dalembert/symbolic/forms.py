@@ -10,6 +10,7 @@ A polynomial that becomes too long is a letter of its own.  So chains stay as sh
 from __future__ import annotations
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
@@ -57,6 +58,7 @@ class Forms:
         self.graph, self.mask = graph, mask_of(moving)
         self.signs, self.expands = signs, expands
         self.letters: list[Node] = []
+        self.left = math.inf  # products of terms
         self.pairs: dict[int, int] = {}  # the cosine of a sine
         self._places: dict[Node, int] = {}
         self._known: dict[Node, Polynomial] = {}
@@ -184,9 +186,16 @@ class Forms:
             found += rest.items()
         return collected(found)
 
+    def multiplied(self, a: Polynomial, b: Polynomial) -> Polynomial:
+        """Return a product as it is; raise TooLong if nothing is left of the patience."""
+        self.left -= len(a) * len(b)
+        if self.left < 0:
+            raise TooLong
+        return times(a, b)
+
     def times(self, a: Polynomial, b: Polynomial) -> Polynomial:
         """Return a product in its normal form."""
-        return self.reduced(times(a, b))
+        return self.reduced(self.multiplied(a, b))
 
     # ---- what is known of a polynomial -----------------------------------------------------
 
@@ -385,12 +394,13 @@ def _polynomial(element: Any, names: list[int]) -> Polynomial:
 
 
 def written(
-    forms: Forms, polynomials: Sequence[Polynomial], pairs: bool, nests: bool
+    forms: Forms, polynomials: Sequence[Polynomial], pairs: bool, nests: int
 ) -> list[Node]:
     """Return the nodes of polynomials.
 
     If ``pairs``, two letters that occur together in several monomials are multiplied first.  If
-    ``nests``, a letter of several terms of a sum is taken out.
+    ``nests`` is not 0, a letter of several terms of a sum is taken out: of those that are in the
+    same number of terms the first for 1, and the last for -1.
     """
     made = _Writer(forms)
     terms = [{term: made.split(term) for term in a} for a in polynomials]
@@ -399,7 +409,7 @@ def written(
     found = []
     for a, parts in zip(polynomials, terms):
         several = [(a[t], constants, made.joined(x)) for t, (constants, x) in parts.items()]
-        found.append(made.nested(several) if nests else made.sum(several))
+        found.append(made.nested(several, nests) if nests else made.sum(several))
     return found
 
 
@@ -430,9 +440,11 @@ def by_coefficients(
 
 def factored(forms: Forms, a: Polynomial) -> Node:
     """Return the node of a polynomial as a product of its factors."""
-    if len(a) < 2 or len(a) > 12:
+    if len(a) < 2:
         return forms.node(a)
-    parts = [(written(forms, [f], False, True)[0], k) for f, k in forms.factors(a)]
+    is_small = len(a) <= 12 and len({g for term in a for g, _ in term}) <= 5
+    several = forms.factors(a) if is_small else [(a, 1)]
+    parts = [(written(forms, [f], False, 1)[0], k) for f, k in several]
     return forms.graph.product(x**k for x, k in parts)
 
 
@@ -457,31 +469,32 @@ class _Writer:
 
     def pair(self, monomials: list[dict[Node, int]]) -> None:
         """Replace pairs of letters that occur together most often, until none occurs twice."""
-        while True:
-            counts: Counter[tuple[Node, Node]] = Counter()
-            seen = set()
-            for x in monomials:
-                key = frozenset(x.items())
-                if key in seen:
-                    continue
-                seen.add(key)
-                several = sorted(x, key=lambda e: e.index)
-                counts.update(itertools.combinations(several, 2))
-                counts.update((e, e) for e in several if x[e] > 1)
-            if not counts:
-                return
+        equal: dict[frozenset[tuple[Node, int]], list[dict[Node, int]]] = {}
+        for x in monomials:
+            equal.setdefault(frozenset(x.items()), []).append(x)
+        left = [several[0] for several in equal.values()]
+        counts: Counter[tuple[Node, Node]] = Counter()
+        for x in left:
+            counts.update(_pairs(x))
+        while counts:
             pair, count = max(counts.items(), key=lambda item: item[1])
             if count < 2:
-                return
+                break
             product = self.graph.make("*", *pair) if pair[0] is not pair[1] else pair[0] ** 2
-            for x in monomials:
-                need = Counter(pair)
+            need = Counter(pair)
+            for x in left:
                 if all(x.get(e, 0) >= k for e, k in need.items()):
+                    counts.subtract(_pairs(x))
                     for e, k in need.items():
                         x[e] -= k
                         if not x[e]:
                             del x[e]
                     x[product] = x.get(product, 0) + 1
+                    counts.update(_pairs(x))
+        for several in equal.values():
+            for x in several[1:]:
+                x.clear()
+                x.update(several[0])
 
     def joined(self, x: Mapping[Node, int]) -> dict[Node, int]:
         return {e: k for e, k in x.items() if k}
@@ -501,12 +514,12 @@ class _Writer:
             self.graph.scaled(x, constants * self.product(moving)) for x, constants, moving in terms
         )
 
-    def nested(self, terms: list[tuple[Number, Node, dict[Node, int]]]) -> Node:
+    def nested(self, terms: list[tuple[Number, Node, dict[Node, int]]], order: int) -> Node:
         """Return a sum in which letters of several terms are taken out, the most frequent first."""
         counts = Counter(e for _, _, moving in terms for e in moving)
         if not counts or max(counts.values()) < 2:
             return self.sum(terms)
-        best = max(counts, key=lambda e: (counts[e], -e.index))
+        best = max(counts, key=lambda e: (counts[e], -order * e.index))
         inside = [(x, c, m) for x, c, m in terms if best in m]
         least = min(m[best] for _, _, m in inside)
         rest = [(x, c, m) for x, c, m in terms if best not in m]
@@ -514,5 +527,11 @@ class _Writer:
             (x, c, {e: k - least * (e is best) for e, k in m.items() if k > least * (e is best)})
             for x, c, m in inside
         ]
-        outside = self.nested(rest) if rest else self.graph.zero
-        return best**least * self.nested(left) + outside
+        outside = self.nested(rest, order) if rest else self.graph.zero
+        return best**least * self.nested(left, order) + outside
+
+
+def _pairs(x: Mapping[Node, int]) -> list[tuple[Node, Node]]:
+    """Return the pairs of factors of a monomial."""
+    several = sorted(x, key=lambda e: e.index)
+    return [*itertools.combinations(several, 2), *((e, e) for e in several if x[e] > 1)]

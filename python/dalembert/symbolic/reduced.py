@@ -24,16 +24,21 @@ from typing import Any
 from . import convolutions
 from .forms import (
     ONE, UNIT, Forms, Polynomial, TooLong, by_coefficients, factored, inverted, lowest, scaled,
-    times, total, written,
+    total, written,
 )  # fmt: skip
 from .graph import Graph, Node, below, mask_of
 
 Model = Any  # of model.py, which calls this
 Column = list[Polynomial]
+_Rates = Callable[[list[Node]], list[Node]]  # from the nodes of some polynomials
 
 _BASES = 6  # that are compared
 _WIDE = 4  # constraints from which a single basis is made
 _LONG = 16  # terms of an entry that is not kept as a node
+_PATIENCE = 30_000  # products of terms in the equations for a basis
+_LARGEST = 300  # terms of all equations
+_SEVERAL = 150  # terms of all equations that are written in all ways
+_THOROUGH = 2  # bases, and kinds of equations for each, that are written in all ways
 _LARGEST_BLOCK = 3  # that is inverted by Cramer's rule
 
 
@@ -153,17 +158,19 @@ class _Reduction:
 
     def best(self) -> Reduced:
         """Return the equations with the least cost."""
-        found: list[Reduced] = []
+        found: list[tuple[int, _Equations]] = []
         for forms in self.rings:
             seen = set()
             for basis in itertools.islice(_Search(self, forms).bases(), self.limit):
                 key = tuple(frozenset(e.items()) for column in basis.columns for e in column)
                 if key not in seen:
                     seen.add(key)
-                    found.append(_Equations(self, forms, basis).best())
+                    equations = _Equations(self, forms, basis)
+                    found.append((equations.begin(), equations))
         if not found:
             raise NotReduced("no operation on columns makes the constraints 0 in closed form")
-        return min(found, key=lambda x: x.cost)
+        several = sorted(found, key=lambda x: x[0])[:_THOROUGH]
+        return min((x.best() for _, x in several), key=lambda x: x.cost)
 
     @property
     def limit(self) -> int:
@@ -228,7 +235,7 @@ class _Search:
         forms = self.forms
         found = None
         try:
-            parts = [(times(x, e), 1) for x, e in zip(self.mu[r], column) if x and e]
+            parts = [(forms.multiplied(x, e), 1) for x, e in zip(self.mu[r], column) if x and e]
             found = forms.reduced(total(*parts))
             if len(found) <= 3:
                 return found
@@ -303,14 +310,15 @@ class _Search:
 
     def size(self, entries: list[Polynomial], at: Sequence[int]) -> Polynomial:
         """Return the sum of the squares of some entries."""
-        return self.forms.reduced(total(*((times(entries[j], entries[j]), 1) for j in at)))
+        forms = self.forms
+        return forms.reduced(total(*((forms.multiplied(entries[j], entries[j]), 1) for j in at)))
 
     def combined(self, *parts: tuple[Column, Polynomial]) -> Column:
         """Return a sum of multiples of columns."""
         forms = self.forms
         found = []
         for several in zip(*(column for column, _ in parts)):
-            e = forms.reduced(total(*((times(x, f), 1) for x, (_, f) in zip(several, parts) if x)))
+            e = forms.reduced(total(*((forms.multiplied(x, f), 1) for x, (_, f) in zip(several, parts) if x)))
             found.append(forms.letter(forms.node(e)) if len(e) > _LONG else e)
         return found
 
@@ -391,17 +399,29 @@ class _Equations:
         self.w = [forms.letter(x) for x in reduction.w]
         self.v = [forms.letter(x) for x in reduction.v]
         self.V = [
-            total((self.shift[i], 1), *((times(c[i], x), 1) for c, x in zip(self.columns, self.w)))
+            total((self.shift[i], 1), *(
+                (forms.multiplied(c[i], x), 1) for c, x in zip(self.columns, self.w)
+            ))
             for i in range(self.n)
         ]  # fmt: skip
         self.found: list[tuple[int, list[Node], list[Node]]] = []
+        self.ways: list[tuple[int, list[Polynomial], _Rates]] = []
 
-    def best(self) -> Reduced:
-        """Return the equations with the least cost."""
-        reduction, forms, graph = self.reduction, self.forms, self.graph
+    def begin(self) -> int:
+        """Write all kinds of equations in one way; return the least cost."""
         self.attempt(self.by_nodes)
         for named in (False, True):
+            self.forms.left = _PATIENCE
             self.attempt(lambda named=named: self.by_forms(named))
+        return min(x[0] for x in self.found)
+
+    def best(self) -> Reduced:
+        """Return the equations with the least cost after trying all ways to write them."""
+        reduction, forms, graph = self.reduction, self.forms, self.graph
+        least = min(x[0] for x in self.found)
+        for cost, polynomials, rates in sorted(self.ways, key=lambda x: x[0])[:_THOROUGH]:
+            if cost <= 1.4 * least + 2 and sum(map(len, polynomials)) <= _SEVERAL:
+                self.write_all(polynomials, rates)
         cost, velocity, rates = min(self.found, key=lambda x: x[0])
         E = [forms.node(c[i]) for i in range(self.n) for c in self.columns]
         e = [forms.node(x) for x in self.shift]
@@ -417,13 +437,15 @@ class _Equations:
         except TooLong:
             pass
 
-    def add(self, velocity: Sequence[Node], rates: Sequence[Node]) -> None:
-        """Keep equations, in which velocities may stand for their values."""
+    def add(self, velocity: Sequence[Node], rates: Sequence[Node]) -> int:
+        """Keep equations, in which velocities may stand for their values; return their cost."""
         reduction = self.reduction
         rates = self.graph.replaced(rates, dict(zip(reduction.v, velocity)))
         ode = {**dict(zip(reduction.q, velocity)), **dict(zip(reduction.w, rates))}
         ode[reduction.t] = self.graph.one
-        self.found.append((convolutions.cost(ode), list(velocity), list(rates)))
+        cost = convolutions.cost(ode)
+        self.found.append((cost, list(velocity), list(rates)))
+        return cost
 
     # ---- on the graph ----------------------------------------------------------------------
 
@@ -474,20 +496,20 @@ class _Equations:
         F = [self.replaced(forms.of(e), rule) for e in reduction.F]
         slow = [self.rate(e, V, rule) for e in self.V]
         force = [
-            total((F[i], 1), *((times(M[i][j], slow[j]), -1) for j in range(n) if M[i][j]))
+            total((F[i], 1), *((forms.multiplied(M[i][j], slow[j]), -1) for j in range(n) if M[i][j]))
             for i in range(n)
         ]  # fmt: skip
         r = [
-            forms.reduced(total(*((times(e, f), 1) for e, f in zip(c, force) if e and f)))
+            forms.reduced(total(*((forms.multiplied(e, f), 1) for e, f in zip(c, force) if e and f)))
             for c in self.columns
         ]
         pulled = [
-            [total(*((times(M[i][j], c[j]), 1) for j in range(n) if M[i][j])) for i in range(n)]
+            [total(*((forms.multiplied(M[i][j], c[j]), 1) for j in range(n) if M[i][j])) for i in range(n)]
             for c in self.columns
         ]
         m = [
             [
-                forms.reduced(total(*((times(a, b), 1) for a, b in zip(c, x) if a and b)))
+                forms.reduced(total(*((forms.multiplied(a, b), 1) for a, b in zip(c, x) if a and b)))
                 for x in pulled
             ]
             for c in self.columns
@@ -526,7 +548,7 @@ class _Equations:
                 slope = self.rate_of(g, V, rule)
                 if slope:
                     rest = {tuple((h, j - (h == g)) for h, j in term if j != (h == g)): x * k}
-                    parts.append((times(rest, slope), 1))
+                    parts.append((self.forms.multiplied(rest, slope), 1))
         return self.forms.reduced(total(*parts))
 
     def rate_of(
@@ -561,11 +583,12 @@ class _Equations:
                 above = forms.reduced(total(*((forms.times(x, y), 1) for x, y in cramer[i])))
                 apart[i] = self.simplified(above, determinant)
         if joint:
-            self.write([apart[i] for i in range(self.k)])
+            fractions = [x for i in range(self.k) for x in apart[i]]
+            self.keep(fractions, lambda x: [a / b for a, b in zip(x[::2], x[1::2])])
         several = [block for block in blocks if len(block) > 1]
         if several and not all(forms.is_constant(m[i][j]) for b in several for i in b for j in b):
             flat = [x for row in m for x in row]
-            self.write_all([*r, *flat], lambda nodes: _solved(
+            self.keep([*r, *flat], lambda nodes: _solved(
                 [nodes[self.k * (i + 1) : self.k * (i + 2)] for i in range(self.k)],
                 nodes[: self.k],
             ))  # fmt: skip
@@ -610,7 +633,7 @@ class _Equations:
             return forms.times(above, forms.inverse(below)), UNIT
         factor = lowest({**above, **below})
         if factor != ONE:
-            above, below = (times(x, {inverted(factor): 1}) for x in (above, below))
+            above, below = (forms.multiplied(x, {inverted(factor): 1}) for x in (above, below))
         if len(below) == 1:
             return forms.times(above, forms.inverse(below)), UNIT
         if len(above) <= 2 * _LONG:
@@ -667,39 +690,39 @@ class _Equations:
             ]  # fmt: skip
             found = [
                 total((free[i], 1), *(
-                    (times(x, y), 1) for x, y in zip(pull[i], multipliers)
+                    (forms.multiplied(x, y), 1) for x, y in zip(pull[i], multipliers)
                 )) for i in places
             ]  # fmt: skip
             return min(
                 (written(forms, found, pairs, nests) for pairs in (False, True)
-                 for nests in (False, True)),
+                 for nests in (0, 1, -1)),
                 key=lambda x: convolutions.cost_of(x, dict.fromkeys(
                     [*reduction.q, *reduction.v, *reduction.w], convolutions.MANY)),
             )  # fmt: skip
 
-        self.write_all(flat, rates)
+        self.keep(flat, rates)
 
     # ---- as nodes --------------------------------------------------------------------------
 
-    def write(self, fractions: list[tuple[Polynomial, Polynomial]]) -> None:
-        """Keep several ways to write rates that are fractions."""
-        flat = [x for pair in fractions for x in pair]
-        self.write_all(flat, lambda nodes: [a / b for a, b in zip(nodes[::2], nodes[1::2])])
+    def keep(self, polynomials: list[Polynomial], rates: _Rates) -> None:
+        """Keep velocities and polynomials, which make rates, written in one way for now."""
+        several, n = [*self.V, *polynomials], self.n
+        if sum(map(len, several)) > _LARGEST:
+            return
+        nodes = written(self.forms, several, True, 1)
+        self.ways.append((self.add(nodes[:n], rates(nodes[n:])), several, rates))
 
-    def write_all(
-        self, polynomials: list[Polynomial], rates: Callable[[list[Node]], list[Node]]
-    ) -> None:
-        """Keep several ways to write the velocities and some polynomials, which make rates."""
-        forms = self.forms
+    def write_all(self, polynomials: list[Polynomial], rates: _Rates) -> None:
+        """Write polynomials in all ways."""
+        forms, n = self.forms, self.n
         letters = {self.place(x) for x in (*self.reduction.w, *self.reduction.v)}
-        n = self.n
-        for flat in self.turned([*self.V, *polynomials]):
+        for several in self.turned(polynomials):
             ways = [
-                written(forms, flat, pairs, nests)
-                for pairs in (False, True) for nests in (False, True)
+                written(forms, several, pairs, nests)
+                for pairs in (False, True) for nests in (0, 1, -1)
             ]  # fmt: skip
-            if sum(map(len, flat)) <= 100:
-                ways.append(by_coefficients(forms, flat, letters))
+            if sum(map(len, several)) <= 100:
+                ways.append(by_coefficients(forms, several, letters))
             for nodes in ways:
                 self.add(nodes[:n], rates(nodes[n:]))
 
@@ -714,7 +737,7 @@ class _Equations:
 
 
 def _dot(forms: Forms, a: Sequence[Polynomial], b: Sequence[Polynomial]) -> Polynomial:
-    return forms.reduced(total(*((times(x, y), 1) for x, y in zip(a, b) if x and y)))
+    return forms.reduced(total(*((forms.multiplied(x, y), 1) for x, y in zip(a, b) if x and y)))
 
 
 def _direction(column: Column) -> int:
