@@ -16,6 +16,7 @@ equations, are tried; those with the fewest convolutions are taken, see `convolu
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,12 +28,14 @@ from .forms import (
     total, written,
 )  # fmt: skip
 from .graph import Graph, Node, below, mask_of
+from .symbols import TIME
 
 Model = Any  # of model.py, which calls this
 Column = list[Polynomial]
 _Rates = Callable[[list[Node]], list[Node]]  # from the nodes of some polynomials
 
 _BASES = 6  # that are compared
+_TRIES = 60  # operations in the search
 _WIDE = 4  # constraints from which a single basis is made
 _LONG = 16  # terms of an entry that is not kept as a node
 _PATIENCE = 30_000  # products of terms in the equations for a basis
@@ -88,6 +91,7 @@ class _Basis:
     duals: list[Column]
     shift: Column
     how: tuple[str, ...] = ()
+    is_divided: bool = False  # whether a row was divided by what may vanish
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,7 @@ class _Option:
     row: int
     entries: list[Polynomial]
     shift: Polynomial
+    is_divided: bool
     at: tuple[int, ...]
     place: tuple[int, ...] = field(compare=False)
 
@@ -124,37 +129,36 @@ class _Reduction:
             raise NotReduced("the constraints are not linear in the velocities")
         if model.m >= model.n:
             raise NotReduced("the constraints leave no velocity")
-        self.model, derived = model, model.derived
-        read = derived.read
-        self.graph: Graph = read.graph
-        graph = self.graph
+        self.model, self.derived = model, model.derived
+        self.graph, self._copies = Graph(), dict[Node, Node]()
         self.n, self.m, self.k = model.n, model.m, model.n - model.m
-        self.q, self.v, self.p = (
-            [read(s) for s in part] for part in (model.q, model.v, model.p)
+        read = self.derived.read
+        self.q, self.v, self.p, (self.t,) = (
+            self.copied([read(s) for s in part]) for part in (model.q, model.v, model.p, [TIME])
+        )
+        self.w = [self.graph.symbol(f"w{j}") for j in range(self.k)]
+        terms = self.derived.terms.outputs
+        self.M, self.F, self.mu, self.g = (
+            self.copied(x) for x in (
+                self.derived.mass or terms["M"], terms["F"], terms.get("mu", ()),
+                terms.get("g", ()),
+            )
         )  # fmt: skip
-        self.t = graph.symbol("t")
-        self.w = [graph.symbol(f"w{j}") for j in range(self.k)]
-        self.terms: Mapping[str, Sequence[Node]] = derived.terms.outputs
-        self.M = list(derived.mass or self.terms["M"])
-        self.F = list(self.terms["F"])
-        self.mu = list(self.terms.get("mu", ()))
-        self.rest = dict.fromkeys(self.v, graph.zero)
-        self.phi = list(derived.entries("constraint", "phi"))
-        self.a = graph.replaced(self.phi, self.rest)
-        if derived.kind == "linear":
-            self.a = [graph.zero] * self.m
+        self.L_v = self.copied(self.derived.entries("lagrangian", "L_v"))
+        self.phi = self.copied(self.derived.entries("constraint", "phi"))
+        self.rest = dict.fromkeys(self.v, self.graph.zero)
+        self.a = self.graph.replaced(self.phi, self.rest)
+        if self.derived.kind == "linear":
+            self.a = [self.graph.zero] * self.m
         self.signs = {
             p: sign for p, words in zip(self.p, model.assumptions)
             if (sign := _sign(words)) is not None
         }  # fmt: skip
         moving = [*self.q, *self.v, *self.w, self.t]
         several = [e for e in below([*self.mu, *self.M, *self.F]) if e.op in ("sin", "cos", "tan")]
-        angles = any(e.args[0].op in ("+", "-", "*") for e in several)
-        self.rings = [Forms(graph, moving, self.signs, True)]
-        if angles:
-            self.rings.append(Forms(graph, moving, self.signs, False))
-        if self.m >= _WIDE:
-            del self.rings[:-1]
+        has_sums = any(e.args[0].op in ("+", "-", "*") for e in several)
+        ways = [False] if self.m >= _WIDE else [True, False] if has_sums else [True]
+        self.rings = [Forms(self.graph, moving, self.signs, expands) for expands in ways]
 
     def best(self) -> Reduced:
         """Return the equations with the least cost."""
@@ -170,11 +174,28 @@ class _Reduction:
         if not found:
             raise NotReduced("no operation on columns makes the constraints 0 in closed form")
         several = sorted(found, key=lambda x: x[0])[:_THOROUGH]
-        return min((x.best() for _, x in several), key=lambda x: x.cost)
+        best = min((x.best() for _, x in several), key=lambda x: x.cost)
+        graph, copies = self.derived.read.graph, dict[Node, Node]()
+        return dataclasses.replace(best, **{
+            name: tuple(_copied(graph, getattr(best, name), copies))
+            for name in ("w", "E", "e", "velocity", "rates", "quasi")
+        })  # fmt: skip
+
+    def copied(self, nodes: Sequence[Node]) -> list[Node]:
+        """Return nodes of the model in the graph of the search, which is thrown away."""
+        return _copied(self.graph, nodes, self._copies)
 
     @property
     def limit(self) -> int:
         return 1 if self.m >= _WIDE else _BASES
+
+
+def _copied(graph: Graph, nodes: Sequence[Node], copies: dict[Node, Node]) -> list[Node]:
+    """Return nodes of another graph in this one."""
+    for e in below(nodes):
+        if e not in copies:
+            copies[e] = graph.make(e.op, *(copies[a] for a in e.args), value=e.value)
+    return [copies[e] for e in nodes]
 
 
 def _sign(words: Sequence[str]) -> int | None:
@@ -200,6 +221,7 @@ class _Search:
             [forms.of(e) for e in reduction.mu[r * n : (r + 1) * n]] for r in range(self.m)
         ]  # fmt: skip
         self.a = [forms.of(e) for e in reduction.a]
+        self.left = _TRIES + self.m
         self._products: dict[tuple[int, int], Polynomial] = {}
         self._kept: list[Column] = []  # so that their identity is not that of others
 
@@ -217,6 +239,9 @@ class _Search:
             counts[option.kind] = counts.get(option.kind, 0) + 1
             if counts[option.kind] > 2:
                 continue
+            self.left -= 1
+            if self.left < 0:
+                return
             try:
                 after = self.applied(option, basis)
             except TooLong:
@@ -243,8 +268,8 @@ class _Search:
             pass
         # the constraint itself, whose parts may be shared
         values = {v: forms.node(e) for v, e in zip(self.reduction.v, column)}
-        node, still = self.graph.replaced([self.reduction.phi[r]] , values)[0], self.reduction.a[r]
-        node = node - still
+        (node,) = self.graph.replaced([self.reduction.phi[r]], values)
+        node = node - self.reduction.a[r]
         degrees = dict.fromkeys([*self.reduction.q, self.reduction.t], convolutions.MANY)
         if found is not None and (
             len(found) <= _LONG and convolutions.cost_of([forms.node(found)], degrees)
@@ -263,7 +288,7 @@ class _Search:
             places = (len(there), _KINDS.index(kind), weight)
             if self.m < _WIDE:
                 places = places[1], places[0], weight
-            found.append(_Option(kind, r, entries, shift, at, places))
+            found.append(_Option(kind, r, entries, shift, is_divided, at, places))
 
         for r in rows:
             entries = [self.product(r, c) for c in columns]
@@ -271,7 +296,7 @@ class _Search:
             there = [j for j, x in enumerate(entries) if x]
             if not there:
                 return []
-            entries, shift = self.without_factor(entries, shift)
+            entries, shift, is_divided = self.without_factor(entries, shift)
             for j in there:
                 sign = forms.sign(entries[j])
                 if sign is not None:
@@ -293,20 +318,17 @@ class _Search:
 
     def without_factor(
         self, entries: list[Polynomial], shift: Polynomial
-    ) -> tuple[list[Polynomial], Polynomial]:
-        """Return a row divided by the common factor of its entries."""
+    ) -> tuple[list[Polynomial], Polynomial, bool]:
+        """Return a row divided by the common factor of its entries, and whether that may vanish."""
         forms = self.forms
         there = [x for x in entries if x]
         factor = there[0] if len(there) == 1 else forms.content(there)
-        if factor == UNIT:
-            return entries, shift
-        parts = [UNIT] if len(there) == 1 else [forms.quotient(x, factor) for x in there]
-        if any(x is None for x in parts):
-            return entries, shift
+        parts = [forms.quotient(x, factor) for x in there]
+        if factor == UNIT or any(x is None for x in parts):
+            return entries, shift, False
         left = iter(parts)
-        return [next(left) or {} if x else {} for x in entries], (
-            forms.over(shift, factor) if shift else shift
-        )
+        divided = [next(left) or {} if x else {} for x in entries]
+        return divided, forms.over(shift, factor) if shift else shift, forms.sign(factor) is None
 
     def size(self, entries: list[Polynomial], at: Sequence[int]) -> Polynomial:
         """Return the sum of the squares of some entries."""
@@ -369,7 +391,8 @@ class _Search:
         where = " ".join(names[i] for i in sorted({
             next(i for i, e in enumerate(columns[j]) if e) for j in at
         }))  # fmt: skip
-        return _Basis(new, dual, shift, (*basis.how, f"{option.kind} {where}"))
+        how = *basis.how, f"{option.kind} {where}"
+        return _Basis(new, dual, shift, how, basis.is_divided or option.is_divided)
 
 
 # Kernels of a row by the places of their entries, and the signs.
@@ -395,7 +418,7 @@ class _Equations:
         signs = [_direction(c) for c in basis.columns]
         self.columns = [[scaled(e, s) for e in c] for c, s in zip(basis.columns, signs)]
         self.duals = [[scaled(e, s) for e in c] for c, s in zip(basis.duals, signs)]
-        self.shift, self.how = basis.shift, basis.how
+        self.shift, self.how, self.is_divided = basis.shift, basis.how, basis.is_divided
         self.w = [forms.letter(x) for x in reduction.w]
         self.v = [forms.letter(x) for x in reduction.v]
         self.V = [
@@ -472,13 +495,12 @@ class _Equations:
     def momentum(self, x: Sequence[Node]) -> list[Node]:
         """Return M times a vector."""
         reduction, graph, n = self.reduction, self.graph, self.n
-        derived = reduction.model.derived
-        if derived.mass is not None:
+        if reduction.derived.mass is not None:
             return [
                 graph.sum(e * y for e, y in zip(reduction.M[i * n : (i + 1) * n], x))
                 for i in range(n)
             ]  # fmt: skip
-        L_v = derived.entries("lagrangian", "L_v")
+        L_v = reduction.L_v
         there = graph.replaced(L_v, dict(zip(reduction.v, x)))
         return [a - b for a, b in zip(there, graph.replaced(L_v, reduction.rest))]
 
@@ -515,7 +537,7 @@ class _Equations:
             for c in self.columns
         ]
         self.solve(m, r)
-        if reduction.m and reduction.model.derived.mass is not None:
+        if reduction.m and reduction.derived.mass is not None and not self.is_divided:
             self.attempt(lambda: self.by_multipliers(M, F, rule))
 
     def place(self, node: Node) -> int:
@@ -671,7 +693,7 @@ class _Equations:
                 for j, x in zip(block, row):
                     inverse[i][j] = forms.over(x, determinant)
         mu = [[forms.of(e) for e in reduction.mu[r * n : (r + 1) * n]] for r in range(m)]
-        g = [self.replaced(forms.of(e), rule) for e in reduction.terms["g"]]
+        g = [self.replaced(forms.of(e), rule) for e in reduction.g]
         free = [_dot(forms, row, F) for row in inverse]
         pull = [[_dot(forms, row, x) for x in mu] for row in inverse]
         C = [[_dot(forms, x, [row[s] for row in pull]) for s in range(m)] for x in mu]
