@@ -1,8 +1,8 @@
 """Normal forms of nodes: polynomials whose letters are nodes.
 
-A letter is a symbol, the sine or the cosine of an angle, a root, the inverse of a sum, or any other
-node, which is left as it is.  A relation such as s^2 = 1 - c^2 replaces powers of a letter by
-earlier letters, so that equal polynomials are equal functions in most cases.
+A letter is a symbol, the sine or cosine of an angle, a root, or the inverse of a sum.  Any other
+node is a letter, too, and left as it is.  The square of a sine is 1 - c^2 for the cosine c.  So a
+function that is constant, or 0, is seen to be so in most cases.
 
 A polynomial that becomes too long is a letter of its own.  So chains stay as short as they are.
 """
@@ -398,9 +398,9 @@ def written(
 ) -> list[Node]:
     """Return the nodes of polynomials.
 
-    If ``pairs``, two letters that occur together in several monomials are multiplied first.  If
-    ``nests`` is not 0, a letter of several terms of a sum is taken out: of those that are in the
-    same number of terms the first for 1, and the last for -1.
+    If ``pairs``, two letters that occur together in several monomials are multiplied first.
+    Unless ``nests`` is 0, a letter of several terms of a sum is taken out.  If letters have equally
+    many terms, it is the first for 1, and the last for -1.
     """
     made = _Writer(forms)
     terms = [{term: made.split(term) for term in a} for a in polynomials]

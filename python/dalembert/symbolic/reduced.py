@@ -17,6 +17,7 @@ equations, are tried; those with the fewest convolutions are taken, see `convolu
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,7 +28,7 @@ from .forms import (
     ONE, UNIT, Forms, Polynomial, TooLong, by_coefficients, factored, inverted, lowest, scaled,
     total, written,
 )  # fmt: skip
-from .graph import Graph, Node, below, mask_of
+from .graph import PIECE, Graph, Node, below, mask_of
 from .symbols import TIME
 
 Model = Any  # of model.py, which calls this
@@ -36,7 +37,7 @@ _Rates = Callable[[list[Node]], list[Node]]  # from the nodes of some polynomial
 
 _BASES = 6  # that are compared
 _TRIES = 60  # operations in the search
-_WIDE = 4  # constraints from which a single basis is made
+_WIDE = 4  # constraints from which a basis is made as for chains only
 _LONG = 16  # terms of an entry that is not kept as a node
 _PATIENCE = 30_000  # products of terms in the equations for a basis
 _LARGEST = 300  # terms of all equations
@@ -144,7 +145,10 @@ class _Reduction:
                 terms.get("g", ()),
             )
         )  # fmt: skip
-        self.L_v = self.copied(self.derived.entries("lagrangian", "L_v"))
+        self.L, self.L_q, self.L_v = (
+            self.copied(self.derived.entries("lagrangian", name)) for name in ("L", "L_q", "L_v")
+        )
+        self.f = self.copied(self.derived.entries("force", "f"))
         self.phi = self.copied(self.derived.entries("constraint", "phi"))
         self.rest = dict.fromkeys(self.v, self.graph.zero)
         self.a = self.graph.replaced(self.phi, self.rest)
@@ -157,15 +161,20 @@ class _Reduction:
         moving = [*self.q, *self.v, *self.w, self.t]
         several = [e for e in below([*self.mu, *self.M, *self.F]) if e.op in ("sin", "cos", "tan")]
         has_sums = any(e.args[0].op in ("+", "-", "*") for e in several)
-        ways = [False] if self.m >= _WIDE else [True, False] if has_sums else [True]
-        self.rings = [Forms(self.graph, moving, self.signs, expands) for expands in ways]
+        self.searches: list[tuple[bool, bool, int]] = []  # expands sines, is for chains, bases
+        if self.m < _WIDE:
+            self.searches += [(expands, False, _BASES) for expands in (True, False)[: 1 + has_sums]]
+        if self.m > 2:
+            self.searches.append((False, True, 1))
+        self.moving = moving
 
     def best(self) -> Reduced:
         """Return the equations with the least cost."""
         found: list[tuple[int, _Equations]] = []
-        for forms in self.rings:
+        for expands, is_chain, count in self.searches:
             seen = set()
-            for basis in itertools.islice(_Search(self, forms).bases(), self.limit):
+            forms = Forms(self.graph, self.moving, self.signs, expands)
+            for basis in itertools.islice(_Search(self, forms, is_chain).bases(), count):
                 key = tuple(frozenset(e.items()) for column in basis.columns for e in column)
                 if key not in seen:
                     seen.add(key)
@@ -185,9 +194,46 @@ class _Reduction:
         """Return nodes of the model in the graph of the search, which is thrown away."""
         return _copied(self.graph, nodes, self._copies)
 
-    @property
-    def limit(self) -> int:
-        return 1 if self.m >= _WIDE else _BASES
+    @functools.cached_property
+    def squares(self) -> list[tuple[Node, Node, Node]] | None:
+        """T as factors and pairs of rates of positions, whose products are added; None if not."""
+        if not self.L:
+            return None
+        graph, found = self.graph, list[tuple[Node, Node, Node]]()
+        moves, changes = mask_of(self.v), mask_of([*self.q, *self.v, self.t])
+        left = [(graph.one, self.L[0])]
+        while left:
+            factor, e = left.pop()
+            if not e.reach & moves:
+                continue
+            if e.op in ("+", "-"):
+                left += [(factor, e.args[0]), (factor if e.op == "+" else -factor, e.args[1])]
+            elif e.op == "*" and not e.args[0].reach & changes:
+                left.append((factor * e.args[0], e.args[1]))
+            elif e.op == "*" and not e.args[1].reach & changes:
+                left.append((factor * e.args[1], e.args[0]))
+            elif e.op == "*" or (e.op == "pow" and e.value == 2):
+                found.append((factor, e.args[0], e.args[-1]))
+            else:
+                return None
+        rates = {e for _, *pair in found for e in pair}
+        return found if all(map(self.is_rate, rates)) else None
+
+    def is_rate(self, e: Node) -> bool:
+        """Return whether a node is linear in v, and the rate of a function of q."""
+        graph, moves = self.graph, mask_of(self.v)
+        if e.reach & (PIECE | self.t.bit) or not graph.replaced([e], self.rest)[0].is_zero:
+            return False
+        slopes = graph.gradient(e, self.v)
+        if any(x.reach & moves for x in slopes.values()):
+            return False
+        curls = {
+            (i, j): x for i, v in enumerate(self.v) if v in slopes
+            for j, x in enumerate(
+                graph.gradient(slopes[v], self.q).get(q, graph.zero) for q in self.q
+            ) if not x.is_zero
+        }  # fmt: skip
+        return all(curls.get((j, i)) is x for (i, j), x in curls.items())
 
 
 def _copied(graph: Graph, nodes: Sequence[Node], copies: dict[Node, Node]) -> list[Node]:
@@ -211,10 +257,14 @@ def _sign(words: Sequence[str]) -> int | None:
 
 
 class _Search:
-    """Bases of the kernel of the constraints."""
+    """Bases of the kernel of the constraints.
 
-    def __init__(self, reduction: _Reduction, forms: Forms) -> None:
-        self.reduction, self.forms = reduction, forms
+    For a chain the rows with the fewest entries come first, and an entry is left as it is unless
+    its normal form costs less.
+    """
+
+    def __init__(self, reduction: _Reduction, forms: Forms, is_chain: bool) -> None:
+        self.reduction, self.forms, self.is_chain = reduction, forms, is_chain
         self.n, self.m, self.graph = reduction.n, reduction.m, reduction.graph
         n = self.n
         self.mu = [
@@ -274,19 +324,19 @@ class _Search:
         if found is not None and (
             len(found) <= _LONG and convolutions.cost_of([forms.node(found)], degrees)
             <= convolutions.cost_of([node], degrees)
-            or not self.reduction.m >= _WIDE
+            or not self.is_chain
         ):
             return found
         return forms.letter(node)
 
     def options(self, rows: list[int], basis: _Basis) -> list[_Option]:
-        """Return what can be done, the best first."""
+        """Return the operations that make a row 0, the best first."""
         forms, columns = self.forms, basis.columns
         found: list[_Option] = []
 
         def add(kind: str, at: tuple[int, ...], weight: int = 0) -> None:
             places = (len(there), _KINDS.index(kind), weight)
-            if self.m < _WIDE:
+            if not self.is_chain:
                 places = places[1], places[0], weight
             found.append(_Option(kind, r, entries, shift, is_divided, at, places))
 
@@ -340,7 +390,7 @@ class _Search:
         forms = self.forms
         found = []
         for several in zip(*(column for column, _ in parts)):
-            e = forms.reduced(total(*((forms.multiplied(x, f), 1) for x, (_, f) in zip(several, parts) if x)))
+            e = _dot(forms, several, [factor for _, factor in parts])
             found.append(forms.letter(forms.node(e)) if len(e) > _LONG else e)
         return found
 
@@ -475,31 +525,63 @@ class _Equations:
     def by_nodes(self) -> None:
         """Make equations in which nothing is expanded."""
         reduction, forms, graph = self.reduction, self.forms, self.graph
-        n = self.n
         columns = [[forms.node(e) for e in c] for c in self.columns]
-        velocity = [
-            graph.sum([forms.node(self.shift[i]), *(c[i] * x for c, x in zip(columns, reduction.w))])
-            for i in range(n)
-        ]  # fmt: skip
-        motion = dict(zip(reduction.q, reduction.v)) | {reduction.t: graph.one}
-        turned = graph.along(velocity, motion)
+        shift = [forms.node(e) for e in self.shift]
+        velocity = self.sum(columns, shift)
+        turned = graph.along(velocity, self.motion)
         force = [f - a for f, a in zip(reduction.F, self.momentum(turned))]
-        r = [graph.sum(e * f for e, f in zip(c, force)) for c in columns]
+        r = [_sum(graph, c, force) for c in columns]
         m = [[graph.zero] * self.k for _ in range(self.k)]
         for j, c in enumerate(columns):
             along = self.momentum(c)
             for i in range(j + 1):
-                m[i][j] = m[j][i] = graph.sum(e * x for e, x in zip(columns[i], along))
+                m[i][j] = m[j][i] = _sum(graph, columns[i], along)
+        self.add(velocity, _solved(m, r))
+        if reduction.squares:
+            self.by_squares(columns, shift, velocity)
+
+    @property
+    def motion(self) -> dict[Node, Node]:
+        reduction = self.reduction
+        return dict(zip(reduction.q, reduction.v)) | {reduction.t: self.graph.one}
+
+    def sum(self, columns: Sequence[Sequence[Node]], shift: Sequence[Node]) -> list[Node]:
+        """Return columns times w, and a shift."""
+        graph, w = self.graph, self.reduction.w
+        return [_sum(graph, row, w) + e for *row, e in zip(*columns, shift)]
+
+    def by_squares(
+        self, columns: list[list[Node]], shift: list[Node], velocity: Sequence[Node]
+    ) -> None:
+        """Make the same equations, if T is made of rates of positions, which need no F.
+
+        A rate u = b v adds to E^T (F - M (E' w + e')) its column b E times the rate of b E w + b e.
+        """
+        reduction, graph, k = self.reduction, self.graph, self.k
+        squares = reduction.squares or []
+        rates = list(dict.fromkeys(e for _, *pair in squares for e in pair))
+        along = [graph.replaced(rates, dict(zip(reduction.v, c))) for c in (*columns, shift)]
+        turned = [graph.along(x, self.motion) for x in along]
+        slow = dict(zip(rates, self.sum(turned[:k], turned[k])))
+        parts = dict(zip(rates, zip(*along)))
+        still = graph.replaced(reduction.L_q, reduction.rest)
+        force = [a + b for a, b in zip(still, reduction.f or [graph.zero] * self.n)]
+        m = [[graph.zero] * k for _ in range(k)]
+        r = []
+        for i, j in itertools.combinations_with_replacement(range(k), 2):
+            m[i][j] = m[j][i] = graph.sum(
+                c * (parts[a][i] * parts[b][j] + parts[a][j] * parts[b][i]) for c, a, b in squares
+            )
+        for i in range(k):
+            lost = (c * (parts[a][i] * slow[b] + parts[b][i] * slow[a]) for c, a, b in squares)
+            r.append(_sum(graph, columns[i], force) - graph.sum(lost))
         self.add(velocity, _solved(m, r))
 
     def momentum(self, x: Sequence[Node]) -> list[Node]:
         """Return M times a vector."""
         reduction, graph, n = self.reduction, self.graph, self.n
         if reduction.derived.mass is not None:
-            return [
-                graph.sum(e * y for e, y in zip(reduction.M[i * n : (i + 1) * n], x))
-                for i in range(n)
-            ]  # fmt: skip
+            return [_sum(graph, reduction.M[i * n : (i + 1) * n], x) for i in range(n)]
         L_v = reduction.L_v
         there = graph.replaced(L_v, dict(zip(reduction.v, x)))
         return [a - b for a, b in zip(there, graph.replaced(L_v, reduction.rest))]
@@ -518,24 +600,11 @@ class _Equations:
         F = [self.replaced(forms.of(e), rule) for e in reduction.F]
         slow = [self.rate(e, V, rule) for e in self.V]
         force = [
-            total((F[i], 1), *((forms.multiplied(M[i][j], slow[j]), -1) for j in range(n) if M[i][j]))
-            for i in range(n)
-        ]  # fmt: skip
-        r = [
-            forms.reduced(total(*((forms.multiplied(e, f), 1) for e, f in zip(c, force) if e and f)))
-            for c in self.columns
+            total((f, 1), (_dot(forms, row, slow), -1)) for f, row in zip(F, M)
         ]
-        pulled = [
-            [total(*((forms.multiplied(M[i][j], c[j]), 1) for j in range(n) if M[i][j])) for i in range(n)]
-            for c in self.columns
-        ]
-        m = [
-            [
-                forms.reduced(total(*((forms.multiplied(a, b), 1) for a, b in zip(c, x) if a and b)))
-                for x in pulled
-            ]
-            for c in self.columns
-        ]
+        r = [_dot(forms, c, force) for c in self.columns]
+        pulled = [[_dot(forms, row, c) for row in M] for c in self.columns]
+        m = [[_dot(forms, c, x) for x in pulled] for c in self.columns]
         self.solve(m, r)
         if reduction.m and reduction.derived.mass is not None and not self.is_divided:
             self.attempt(lambda: self.by_multipliers(M, F, rule))
@@ -555,8 +624,9 @@ class _Equations:
             found: Polynomial = {tuple((g, k) for g, k in term if g not in rule): x}
             for g, k in term:
                 if g in rule:
-                    for _ in range(k):
-                        found = self.forms.times(found, rule[g])
+                    factor = rule[g] if k > 0 else self.forms.inverse(rule[g])
+                    for _ in range(abs(k)):
+                        found = self.forms.times(found, factor)
             parts.append((found, 1))
         return total(*parts)
 
@@ -760,6 +830,11 @@ class _Equations:
 
 def _dot(forms: Forms, a: Sequence[Polynomial], b: Sequence[Polynomial]) -> Polynomial:
     return forms.reduced(total(*((forms.multiplied(x, y), 1) for x, y in zip(a, b) if x and y)))
+
+
+def _sum(graph: Graph, a: Sequence[Node], b: Sequence[Node]) -> Node:
+    """Return the sum of products."""
+    return graph.sum(x * y for x, y in zip(a, b))
 
 
 def _direction(column: Column) -> int:

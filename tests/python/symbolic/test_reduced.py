@@ -148,7 +148,7 @@ def catalogue():
     L = (m * (vx**2 + vy**2) + inertia * turn**2 + J * roll**2) / 2 - k * sin(q[3])
     yield "robot", 4, L, [vx - R * roll * cos(q[2]), vy - R * roll * sin(q[2])], q
     q, v = moving("x y1 y2 y3 z1 z2 z3")
-    V = sum(x**2 for x in q) + q[4] ** 2 * q[5] ** 2 + sum((q[i] * q[i + 3]) ** 2 for i in (1, 2, 3))
+    V = sum(x**2 for x in q) + (q[4] * q[5]) ** 2 + sum((q[i] * q[i + 3]) ** 2 for i in (1, 2, 3))
     rest = sum(q[i] * v[i + 3] for i in (1, 2, 3))
     yield "chaotic", 27, unit(v) - V / 2, [v[0] + rest], q
     q, (v1, v2, v3) = moving("q1 q2 q3")
