@@ -35,7 +35,8 @@ def _generator() -> str:
     names = (
         "formula.py", "symbols.py", "graph.py", "reading.py", "functions.py", "printing.py",
         "walls.py", "values.py", "derive.py", "model.py", "zeros.py", "pattern.py",
-        "constructor.py", "motion.py", "recurrences.py", "expansion.py", "codegen.py",
+        "constructor.py", "motion.py", "forms.py", "convolutions.py", "reduced.py",
+        "recurrences.py", "expansion.py", "codegen.py",
     )  # fmt: skip
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 

@@ -14,6 +14,7 @@ import sympy
 from . import latex
 from .derive import Derived, derive
 from .printing import as_function, function
+from .reduced import Reduced, reduced
 from .symbols import TIME, Coordinate, Expr, Rule, canonical
 
 
@@ -109,6 +110,11 @@ class Model:
     def derived(self) -> Derived:
         """Type, mass and derivatives."""
         return derive(self)
+
+    @functools.cached_property
+    def reduced(self) -> Reduced:
+        """The equations on D; raises NotReduced if there are none in closed form."""
+        return reduced(self)
 
     @functools.cached_property
     def sparsity(self) -> tuple[tuple[int, ...], tuple[int, ...]]:

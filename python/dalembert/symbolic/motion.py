@@ -36,6 +36,9 @@ class Motion:
 
 def motion(model: Model) -> Motion:
     """Return the motion of a model: on D if a basis of D is known and costs less."""
+    reduced = model.reduced
+    if reduced is not None:
+        return Motion(reduced.w, reduced.velocity, reduced.rates, reduced.quasi, True)
     read = model.derived.read
     v = [read(x) for x in model.v]
     return Motion(v, v, accelerations(model), v, model.m == 0)

@@ -144,6 +144,8 @@ class Reader:
             return sympy.Rational(e.value.numerator, e.value.denominator)
         if op == "constant":
             return e.value
+        if op == "symbol":  # that no expression has, as w0 of the equations on D
+            return sympy.Symbol(e.value, real=True)
         if op == "pow":
             return args[0] ** sympy.Rational(e.value.numerator, e.value.denominator)
         if op == "choose":
