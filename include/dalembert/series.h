@@ -123,20 +123,65 @@ DAL_LU_INLINE void dal_series_sum(size_t width, size_t order, double s, const do
     }
 }
 
-DAL_LU_INLINE double dal_series_largest(double a, double b) { return a > b || a != a ? a : b; }
+typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
 
-DAL_LU_INLINE void dal_series_decay(size_t width, size_t order, const double *Y, double *decay)
+DAL_LU_INLINE dal_four dal_series_size(dal_four x)
+{
+    return (dal_four)((dal_four_bits)x & 0x7fffffffffffffffLL);
+}
+
+DAL_LU_INLINE dal_four dal_series_larger(dal_four a, dal_four b)
+{
+    const dal_four_bits is_larger = a > b;
+    return (dal_four)(((dal_four_bits)a & is_larger) | ((dal_four_bits)b & ~is_larger));
+}
+
+/* The same where a state has no coefficients of orders 1 to 3. */
+DAL_LU_RARE void dal_series_decay_of_any(size_t width, size_t order, const double *Y,
+                                         double *decay)
 {
     for (size_t l = 0; l < DAL_SERIES_LAST; l++) decay[l] = 0.0;
     for (size_t i = 0; i < width; i++) {
         double size = 0.0;
         for (size_t k = 1; k <= order && (k <= 3 || size == 0.0); k++)
-            size = dal_series_largest(fabs(Y[k * width + i]), size);
-        const double per = size == 0.0 ? 0.0 : 1.0 / size;
-        for (size_t l = 0; l < DAL_SERIES_LAST; l++)
-            decay[l] = dal_series_largest(
-                per * fabs(Y[(order - DAL_SERIES_LAST + 1 + l) * width + i]), decay[l]);
+            size = fmax(size, fabs(Y[k * width + i]));
+        for (size_t l = 0; l < DAL_SERIES_LAST && size > 0.0; l++) {
+            const double last = fabs(Y[(order - DAL_SERIES_LAST + 1 + l) * width + i]);
+            decay[l] = fmax(decay[l], last / size);
+        }
     }
+}
+
+DAL_LU_INLINE void dal_series_decay(size_t width, size_t order, const double *Y, double *decay)
+{
+    const dal_four *const all = (const dal_four *)Y;
+    const size_t vectors = width / 4;
+    const dal_four *const last = all + (order - DAL_SERIES_LAST + 1) * vectors;
+    dal_four most[DAL_SERIES_LAST] = {{0.0}}, sum = {0.0};
+    dal_four_bits lost = {0};
+    for (size_t c = 0; c < vectors; c++) {
+        dal_four size = dal_series_size(all[vectors + c]);
+        size = dal_series_larger(size, dal_series_size(all[2 * vectors + c]));
+        size = dal_series_larger(size, dal_series_size(all[3 * vectors + c]));
+        const dal_four per = (dal_four)((dal_four_bits)(1.0 / size) & (size != 0.0));
+#pragma GCC unroll 4
+        for (size_t l = 0; l < DAL_SERIES_LAST; l++) {
+            const dal_four one = dal_series_size(last[l * vectors + c]);
+            most[l] = dal_series_larger(one * per, most[l]);
+            lost |= (size == 0.0) & (one != 0.0);
+            sum += one;
+        }
+    }
+    if (lost[0] | lost[1] | lost[2] | lost[3]) dal_series_decay_of_any(width, order, Y, decay);
+    else
+#pragma GCC unroll 4
+        for (size_t l = 0; l < DAL_SERIES_LAST; l++) {
+            const double one = most[l][0] > most[l][1] ? most[l][0] : most[l][1];
+            const double other = most[l][2] > most[l][3] ? most[l][2] : most[l][3];
+            decay[l] = one > other ? one : other;
+        }
+    const double total = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+    if (!(total <= 0x1p1000)) decay[0] = (double)NAN;
 }
 #endif
 

@@ -43,17 +43,24 @@ class Writer:
         found += [f"const double f{self._number[e]} = {self._slope(e)};" for e in live
                   if series.degree[e] == 1]  # fmt: skip
         found += [f"double b{self._number[e]} = {self.zeroth(e)};" for e in self._before()]
-        found += [f"Y[{i}] = {self.zeroth(x)};" for i, x in enumerate(self._columns())]
+        found += self._row("0", [self.zeroth(x) for x in self._columns()])
         found += [f"double d{i} = unit * {self._part(rate)};"
                   for i, rate in enumerate(series.states.values())]  # fmt: skip
-        found += [f"Y[{i}] = 0.0;" for i in range(len(self._columns()), self.width)]
         found.append("for (size_t k = 1; k < order; k++) {")
         found += [f"    {line}" for line in self._loop()]
         found.append("}")
         last = "dal_series_over(d{0}, order, 1.0 / (double)order)"
-        found += [f"Y[order * {self.width} + {i}] = {last.format(i)};" for i in range(len(states))]
-        found += [f"Y[order * {self.width} + {i}] = 0.0;" for i in range(len(states), self.width)]
+        found += self._row("order", [last.format(i) for i in range(len(states))])
         return found
+
+    def _row(self, order: str, coefficients: Sequence[str]) -> list[str]:
+        """Return the assignment of coefficients of all columns, four at once."""
+        several = [*coefficients, *["0.0"] * (self.width - len(coefficients))]
+        return [
+            f"((dal_four *)Y)[{order} * {self.width // 4} + {i // 4}] = "
+            f"(dal_four){{{', '.join(several[i : i + 4])}}};"
+            for i in range(0, self.width, 4)
+        ]
 
     def _columns(self) -> list[Node]:
         """Return the series whose coefficients are given to the caller."""
@@ -230,18 +237,12 @@ class Writer:
             if series.degree[x] > 0:
                 text = f"dal_series_over(d{i}, k, inverse)"
                 found.append(f"const double c{self._number[x]} = {text};")
-                found.append(f"Y[k * {self.width} + {i}] = c{self._number[x]};")
-            else:
-                found.append(f"Y[k * {self.width} + {i}] = 0.0;")
         for e in series.nodes:
             if series.degree[e] > 0 and e not in series.states:
                 is_linear = series.degree[e] == 1
                 text = f"k == 1 ? f{self._number[e]} : 0.0" if is_linear else self._order(e)
                 found.append(f"const double c{self._number[e]} = {text};")
-        for i, e in enumerate([*series.switches, *[None] * self.width], len(series.states)):
-            if i < self.width:
-                text = self.kth(e) if e is not None else None
-                found.append(f"Y[k * {self.width} + {i}] = {text or '0.0'};")
+        found += self._row("k", [self.kth(e) or "0.0" for e in self._columns()])
         for name, side in (("A", 0), ("B", 1)):
             operands = [self._operand(pair[side]) for pair in series.pairs]
             operands += ["0.0"] * (4 * self.vectors - len(operands))

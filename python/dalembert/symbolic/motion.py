@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from .graph import Node
 from .model import Model
+from .reduced import NotReduced
 
 
 @dataclass(frozen=True)
@@ -35,13 +36,13 @@ class Motion:
 
 
 def motion(model: Model) -> Motion:
-    """Return the motion of a model: on D if a basis of D is known and costs less."""
-    reduced = model.reduced
-    if reduced is not None:
-        return Motion(reduced.w, reduced.velocity, reduced.rates, reduced.quasi, True)
-    read = model.derived.read
-    v = [read(x) for x in model.v]
-    return Motion(v, v, accelerations(model), v, model.m == 0)
+    """Return the motion of a model: on D if a basis of D is found."""
+    v = [model.derived.read(x) for x in model.v]
+    try:
+        on_D = model.reduced
+    except NotReduced:
+        return Motion(v, v, accelerations(model), v, model.m == 0)
+    return Motion(on_D.w, on_D.velocity, on_D.rates, on_D.quasi, True)
 
 
 def accelerations(model: Model) -> list[Node]:
