@@ -16,6 +16,7 @@
 #include <dalembert/lu.h>
 
 #include <math.h>
+#include <stdbool.h>
 #include <stddef.h>
 
 /* The highest order, and how many of the last coefficients determine the size of a step. */
@@ -25,6 +26,9 @@ enum { DAL_SERIES_MOST = 40, DAL_SERIES_LAST = 4 };
 typedef struct dal_series_at {
     double t;              /* the time */
     double unit;           /* of the coefficients, a power of 2 */
+    size_t exact;          /* below this order coefficients are divided by k, which costs up to a
+                              fourth of the time; from there on they are multiplied by the rounded
+                              1/k.  For low orders that is a bias, by which the energy drifts */
     const double *y, *low; /* [width] the numbers, and their parts below the last digit */
     const double *u;       /* [inputs] */
     const double *side;    /* [switches] 1, -1, or 0 for a switch that is 0 */
@@ -57,12 +61,10 @@ typedef struct dal_series {
 #ifdef __GNUC__
 typedef double dal_four __attribute__((vector_size(32), may_alias));
 
-/* x/k.  Up to order 9 the rounding of 1/k would be a bias of the motion, and its energy would
- * drift. */
-enum { DAL_SERIES_EXACT = 10 };
-DAL_LU_INLINE double dal_series_over(double x, size_t k, double inverse)
+/* x/k, exactly or by 1/k. */
+DAL_LU_INLINE double dal_series_over(double x, bool exact, double k, double inverse)
 {
-    return k < DAL_SERIES_EXACT ? x / (double)k : x * inverse;
+    return exact ? x / k : x * inverse;
 }
 
 /* The rounding error of product = a b. */

@@ -44,12 +44,12 @@ class Writer:
                   if series.degree[e] == 1]  # fmt: skip
         found += [f"double b{self._number[e]} = {self.zeroth(e)};" for e in self._before()]
         found += self._row("0", [self.zeroth(x) for x in self._columns()])
-        found += [f"double d{i} = unit * {self._part(rate)};"
+        found += [f"double d{i} = {self.zeroth(rate)};"
                   for i, rate in enumerate(series.states.values())]  # fmt: skip
         found.append("for (size_t k = 1; k < order; k++) {")
         found += [f"    {line}" for line in self._loop()]
         found.append("}")
-        last = "dal_series_over(d{0}, order, 1.0 / (double)order)"
+        last = "d{0} * (unit / (double)order)"
         found += self._row("order", [last.format(i) for i in range(len(states))])
         return found
 
@@ -228,14 +228,16 @@ class Writer:
 
     def _loop(self) -> list[str]:
         series, found = self.series, list[str]()
-        found.append("const double inverse = 1.0 / (double)k;")
+        found.append("const bool exact = k < at->exact;")
+        found.append("const double number = (double)k, inverse = 1.0 / number;")
+        found.append("const double divisor = number / unit, factor = inverse * unit;")
         if self.vectors:
             found.append(f"union {{ dal_four vectors[{self.vectors}]; "
                          f"double at[{4 * self.vectors}]; }} M;")  # fmt: skip
             found.append(f"dal_series_middle(k, {self.vectors}, A, B, M.vectors);")
         for i, x in enumerate(series.states):
             if series.degree[x] > 0:
-                text = f"dal_series_over(d{i}, k, inverse)"
+                text = f"dal_series_over(d{i}, exact, divisor, factor)"
                 found.append(f"const double c{self._number[x]} = {text};")
         for e in series.nodes:
             if series.degree[e] > 0 and e not in series.states:
@@ -251,7 +253,7 @@ class Writer:
                 found.append(f"{name}[k * {self.vectors} + {c}] = (dal_four){{{four}}};")
         found += [f"b{self._number[e]} = {self.kth(e) or '0.0'};" for e in self._before()]
         for i, rate in enumerate(series.states.values()):
-            found.append(f"d{i} = {f'unit * {x}' if (x := self.kth(rate)) else '0.0'};")
+            found.append(f"d{i} = {self.kth(rate) or '0.0'};")
         return found
 
     def _operand(self, operand: Operand) -> str:
@@ -262,8 +264,8 @@ class Writer:
         if not is_weighted:
             return text
         if e in self.series.states:
-            return f"d{list(self.series.states).index(e)}"
-        return f"(double)k * {text}"
+            return f"unit * d{list(self.series.states).index(e)}"
+        return f"number * {text}"
 
     def _order(self, e: Node) -> str:
         """Return the text of the coefficient of order k."""
@@ -292,11 +294,11 @@ class Writer:
             return f"({k[0]} - {M[0]}) * {over}"
         if op == "power":
             exponent, own = zero[1], self.zeroth(e)
-            rest = f"dal_series_over({exponent} * {M[0]} - {M[1]}, k, inverse)"
+            rest = f"dal_series_over({exponent} * {M[0]} - {M[1]}, exact, number, inverse)"
             return f"({exponent} * {k[0]} * {own} + {rest}) * {over}"
         if op == "atan2":
             one = f"{k[0] or '0.0'} * {zero[1]} - {k[1] or '0.0'} * {zero[0]}"
-            rest = f"dal_series_over({M[0]} - {M[1]} - {M[2]}, k, inverse)"
+            rest = f"dal_series_over({M[0]} - {M[1]} - {M[2]}, exact, number, inverse)"
             return f"({one} + {rest}) * {over}"
         return self._function(e, M, k)
 
@@ -304,12 +306,14 @@ class Writer:
         a, b = e.args
         one, other = self._part(a), self._part(b)
         k = [self.kth(a), self.kth(b)]
+        if a.op == "number" and a.value == -1:
+            return f"-{k[1]}"
         if not (k[0] and k[1]):
             return f"{one} * {k[1]}" if k[1] else f"{other} * {k[0]}"
         if M and a is b:
             return f"{M[0]} + 2.0 * {one} * {k[0]}"
-        if M:
-            return f"({M[0]} + {one} * {k[1]}) + {k[0]} * {other}"
+        if M:  # what is known last is added last
+            return f"({M[0]} + {k[0]} * {other}) + {one} * {k[1]}"
         if self.series.degree[a] != 1:
             a, b, one, k = b, a, other, k[::-1]
         return f"{one} * {k[1]} + f{self._number[a]} * b{self._number[b]}"
@@ -318,12 +322,12 @@ class Writer:
         rule, sign = RULES[e.op], "-" if RULES[e.op].sign < 0 else ""
         other = self.series.other[e]
         if rule.is_quotient:
-            own = f"{sign}{k[0]} - dal_series_over({M[0]}, k, inverse)"
+            own = f"{sign}{k[0]} - dal_series_over({M[0]}, exact, number, inverse)"
             return f"({own}) * r{self._number[e]}"
         if not M:
             before = f"f{self._number[e.args[0]]} * b{self._number[other]}"
-            return f"{sign}dal_series_over({before}, k, inverse)"
-        return (f"{sign}({k[0]} * {self._part(other)} + dal_series_over({M[0]}, k, inverse))")
+            return f"{sign}dal_series_over({before}, exact, number, inverse)"
+        return (f"{sign}({k[0]} * {self._part(other)} + dal_series_over({M[0]}, exact, number, inverse))")
 
 
 # ---- the program -------------------------------------------------------------------------------

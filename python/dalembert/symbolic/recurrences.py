@@ -33,8 +33,9 @@ _COMPARED = ("max", "min", "<", "<=", "==", "!=")
 _ALONE = ("fabs", "sign", "step")
 _CONSTANT = ("sign", "step", *CONDITIONS)  # between switches
 
-# Functions with branch points: beyond one the series of another branch may seem to converge.
-_BRANCHED = ("power", "sqrt", "log", "asin", "acos", "acosh", "atanh", "atan2")
+# Functions that stay finite at branch points: beyond one the series goes on as that of sqrt(t^2)
+# does, without a sign of it in its coefficients.
+_BRANCHED = ("sqrt", "asin", "acos", "acosh", "atan2")
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ class Series:
     sides : dict of Node to tuple of int
         The number of the switch of a function with branches, and the factor of its sign.
     is_branched : bool
-        Whether a function has branch points.
+        Whether a function has branch points at which it is finite.
     """
 
     def __init__(self, states: Mapping[Node, Node], time: Node) -> None:
@@ -181,7 +182,7 @@ class Series:
         every = [*self.states, *self.states.values(), *self.other.values(), *self.switches]
         self.nodes = below(every)
         self.degree = self._degrees()
-        self.is_branched = any(e.op in _BRANCHED and self.degree[e] > 0 for e in self.nodes)
+        self.is_branched = any(_is_branched(e) and self.degree[e] > 0 for e in self.nodes)
         self.pairs: dict[Pair, int] = {}
         for e in self.nodes:
             for pair in self.needs(e):
@@ -277,6 +278,14 @@ def _difference(a: Node, b: Node) -> tuple[Node, int]:
         return a, 1
     one, other = sorted((a, b), key=lambda e: e.index)
     return a.graph.make("-", one, other), 1 if one is a else -1
+
+
+def _is_branched(e: Node) -> bool:
+    """Return whether a function has branch points at which it is finite."""
+    if e.op != "power":
+        return e.op in _BRANCHED
+    exponent = e.args[1]
+    return exponent.op != "number" or exponent.value > 0
 
 
 def _pair(a: Node, b: Node) -> Pair:
