@@ -140,7 +140,9 @@ class Forms:
 
     def angle(self, a: Polynomial, node: Node) -> tuple[Polynomial, Polynomial]:
         """Return the cosine and the sine of an angle."""
-        if not self.expands or any(x.denominator != 1 or abs(x) > _LARGEST for x in a.values()):
+        if not self.expands or any(
+            x.denominator != 1 or not -_LARGEST <= x <= _LARGEST for x in a.values()
+        ):
             return self._pair(node)
         cosine, sine = UNIT, dict[Monomial, Number]()
         for term, count in a.items():
@@ -238,7 +240,7 @@ class Forms:
             if x > 0 and all(sign == 1 for sign in signs):
                 sure = sure or all(even)
             elif all(self.letters[g].op in ("sin", "cos") and k > 0 for g, k in term) and term:
-                lost += abs(x)
+                lost += max(x, -x)
             else:
                 return False
         return alone > lost if lost else sure
@@ -393,9 +395,7 @@ def _polynomial(element: Any, names: list[int]) -> Polynomial:
 # ---- many polynomials as nodes -------------------------------------------------------------------
 
 
-def written(
-    forms: Forms, polynomials: Sequence[Polynomial], pairs: bool, nests: int
-) -> list[Node]:
+def written(forms: Forms, polynomials: Sequence[Polynomial], pairs: bool, nests: int) -> list[Node]:
     """Return the nodes of polynomials.
 
     If ``pairs``, two letters that occur together in several monomials are multiplied first.

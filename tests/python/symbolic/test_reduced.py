@@ -124,7 +124,7 @@ def accelerations(x):
 
 def catalogue():
     """The systems written in C, in SymPy."""
-    m, J, a, R, k, g, r, A, C, d, K = known("m J a R k g r A C d K")
+    m, J, a, R, k, g, r, A, C = known("m J a R k g r A C")
     inertia, k1, k2, k3, J0, J1, gs, eps, Omega = known("I k1 k2 k3 J0 J1 gs eps Omega")
     q, v = moving("x y z")
     (x, y, z), (vx, vy, vz) = q, v
