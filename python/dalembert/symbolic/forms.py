@@ -95,6 +95,8 @@ class Forms:
         try:
             found = self.reduced(self._of(e))
         except TooLong:
+            if self.left < 0:
+                raise
             return self.letter(e)
         return found if len(found) <= _LONGEST else self.letter(e)
 
@@ -105,7 +107,7 @@ class Forms:
         if e.op in ("+", "-"):
             return total((args[0], 1), (args[1], 1 if e.op == "+" else -1))
         if e.op == "*":
-            return times(*args)
+            return self.multiplied(*args)
         if e.op == "pow":
             return self.power(args[0], e.value, e.args[0])
         if e.op in ("sin", "cos"):

@@ -23,8 +23,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from . import convolutions
-from .forms import ONE, UNIT, Forms, Polynomial, TooLong, by_coefficients, inverted, lowest
-from .forms import scaled, total, written
+from .forms import (
+    ONE,
+    UNIT,
+    Forms,
+    Polynomial,
+    TooLong,
+    by_coefficients,
+    inverted,
+    lowest,
+    scaled,
+    total,
+    written,
+)
 from .graph import PIECE, Graph, Node, below, mask_of
 from .symbols import TIME
 
@@ -35,9 +46,12 @@ _Rates = Callable[[list[Node]], list[Node]]  # from the nodes of some polynomial
 _BASES = 6  # that are compared
 _TRIES = 60  # operations in the search
 _WIDE = 4  # constraints from which a basis is made as for chains only
+_LONGEST = 150  # nodes of a letter whose rate is written in normal form
 _SHORT = 20  # nodes of a term that is written in normal form
 _LONG = 16  # terms of an entry that is not kept as a node
 _PATIENCE = 30_000  # products of terms in the equations for a basis
+_DEAR = 100  # convolutions from which no more than two bases are compared
+_LARGEST_BASIS = 50  # terms of a basis that is not the only one
 _LARGEST = 300  # terms of all equations
 _SEVERAL = 150  # terms of all equations that are written in all ways
 _THOROUGH = 2  # bases, and kinds of equations for each, that are written in all ways
@@ -174,10 +188,13 @@ class _Reduction:
             forms = Forms(self.graph, self.moving, self.signs, expands)
             for basis in itertools.islice(_Search(self, forms, is_chain).bases(), count):
                 key = tuple(frozenset(e.items()) for column in basis.columns for e in column)
-                if key not in seen:
+                is_long = sum(len(e) for column in basis.columns for e in column) > _LARGEST_BASIS
+                if key not in seen and not (found and is_long):
                     seen.add(key)
                     equations = _Equations(self, forms, basis)
                     found.append((equations.begin(), equations))
+                if len(found) > 1 and min(cost for cost, _ in found) > _DEAR:
+                    break
         if not found:
             raise NotReduced("no operation on columns makes the constraints 0 in closed form")
         several = sorted(found, key=lambda x: x[0])[:_THOROUGH]
@@ -613,6 +630,9 @@ class _Equations:
         }  # fmt: skip
         V = [self.replaced(v, rule) for v in self.v]
         F = [self.replaced(forms.of(e), rule) for e in reduction.F]
+        if sum(map(len, self.V)) > _LARGEST // 2:
+            raise TooLong
+        self.rates: dict[int, Polynomial] = {}
         slow = [self.rate(e, V, rule) for e in self.V]
         force = [total((f, 1), (_dot(forms, row, slow), -1)) for f, row in zip(F, M)]
         r = [_dot(forms, c, force) for c in self.columns]
@@ -650,7 +670,9 @@ class _Equations:
         parts = []
         for term, x in a.items():
             for g, k in term:
-                slope = self.rate_of(g, V, rule)
+                if g not in self.rates:
+                    self.rates[g] = self.rate_of(g, V, rule)
+                slope = self.rates[g]
                 if slope:
                     rest = {tuple((h, j - (h == g)) for h, j in term if j != (h == g)): x * k}
                     parts.append((self.forms.multiplied(rest, slope), 1))
@@ -667,8 +689,9 @@ class _Equations:
             return UNIT
         if not e.reach & mask_of([*reduction.q, reduction.t]):
             return {}
-        motion = dict(zip(reduction.q, reduction.v)) | {reduction.t: self.graph.one}
-        (found,) = self.graph.along([e], motion)
+        if len(below([e])) > _LONGEST:
+            raise TooLong
+        (found,) = self.graph.along([e], self.motion)
         return self.replaced(forms.of(found), rule)
 
     def solve(self, m: list[list[Polynomial]], r: list[Polynomial]) -> None:
