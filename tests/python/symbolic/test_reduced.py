@@ -203,7 +203,9 @@ def trailers(count):
     return L, constraints, q
 
 
-@pytest.mark.parametrize("name, most, L, constraints, q", [*catalogue()], ids=lambda x: x if isinstance(x, str) else "")
+@pytest.mark.parametrize(
+    "name, most, L, constraints, q", [*catalogue()], ids=lambda x: x if isinstance(x, str) else ""
+)
 def test_systems_in_C(name, most, L, constraints, q):
     """The accelerations of the system in C come from formulas by hand."""
     system = dal.systems.get(name)
