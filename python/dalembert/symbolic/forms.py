@@ -95,6 +95,8 @@ class Forms:
         try:
             found = self.reduced(self._of(e))
         except TooLong:
+            if self.left < 0:
+                raise
             return self.letter(e)
         return found if len(found) <= _LONGEST else self.letter(e)
 
@@ -105,7 +107,7 @@ class Forms:
         if e.op in ("+", "-"):
             return total((args[0], 1), (args[1], 1 if e.op == "+" else -1))
         if e.op == "*":
-            return times(*args)
+            return self.multiplied(*args)
         if e.op == "pow":
             return self.power(args[0], e.value, e.args[0])
         if e.op in ("sin", "cos"):
@@ -140,7 +142,9 @@ class Forms:
 
     def angle(self, a: Polynomial, node: Node) -> tuple[Polynomial, Polynomial]:
         """Return the cosine and the sine of an angle."""
-        if not self.expands or any(x.denominator != 1 or abs(x) > _LARGEST for x in a.values()):
+        if not self.expands or any(
+            x.denominator != 1 or not -_LARGEST <= x <= _LARGEST for x in a.values()
+        ):
             return self._pair(node)
         cosine, sine = UNIT, dict[Monomial, Number]()
         for term, count in a.items():
@@ -238,7 +242,7 @@ class Forms:
             if x > 0 and all(sign == 1 for sign in signs):
                 sure = sure or all(even)
             elif all(self.letters[g].op in ("sin", "cos") and k > 0 for g, k in term) and term:
-                lost += abs(x)
+                lost += max(x, -x)
             else:
                 return False
         return alone > lost if lost else sure
@@ -393,9 +397,7 @@ def _polynomial(element: Any, names: list[int]) -> Polynomial:
 # ---- many polynomials as nodes -------------------------------------------------------------------
 
 
-def written(
-    forms: Forms, polynomials: Sequence[Polynomial], pairs: bool, nests: int
-) -> list[Node]:
+def written(forms: Forms, polynomials: Sequence[Polynomial], pairs: bool, nests: int) -> list[Node]:
     """Return the nodes of polynomials.
 
     If ``pairs``, two letters that occur together in several monomials are multiplied first.

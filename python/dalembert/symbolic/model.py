@@ -14,7 +14,7 @@ import sympy
 from . import latex
 from .derive import Derived, derive
 from .printing import as_function, function
-from .reduced import Reduced, reduced
+from .reduced import NotReduced, Reduced, reduced
 from .symbols import TIME, Coordinate, Expr, Rule, canonical
 
 
@@ -111,10 +111,19 @@ class Model:
         """Type, mass and derivatives."""
         return derive(self)
 
-    @functools.cached_property
+    @property
     def reduced(self) -> Reduced:
         """The equations on D; raises NotReduced if there are none in closed form."""
-        return reduced(self)
+        if isinstance(self._reduced, NotReduced):
+            raise self._reduced
+        return self._reduced
+
+    @functools.cached_property
+    def _reduced(self) -> Reduced | NotReduced:
+        try:
+            return reduced(self)
+        except NotReduced as error:
+            return error
 
     @functools.cached_property
     def sparsity(self) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -16,18 +16,26 @@ equations, are tried; those with the fewest convolutions are taken, see `convolu
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from . import convolutions
 from .forms import (
-    ONE, UNIT, Forms, Polynomial, TooLong, by_coefficients, factored, inverted, lowest, scaled,
-    total, written,
-)  # fmt: skip
+    ONE,
+    UNIT,
+    Forms,
+    Polynomial,
+    TooLong,
+    by_coefficients,
+    inverted,
+    lowest,
+    scaled,
+    total,
+    written,
+)
 from .graph import PIECE, Graph, Node, below, mask_of
 from .symbols import TIME
 
@@ -38,8 +46,12 @@ _Rates = Callable[[list[Node]], list[Node]]  # from the nodes of some polynomial
 _BASES = 6  # that are compared
 _TRIES = 60  # operations in the search
 _WIDE = 4  # constraints from which a basis is made as for chains only
+_LONGEST = 150  # nodes of a letter whose rate is written in normal form
+_SHORT = 20  # nodes of a term that is written in normal form
 _LONG = 16  # terms of an entry that is not kept as a node
 _PATIENCE = 30_000  # products of terms in the equations for a basis
+_DEAR = 100  # convolutions from which no more than two bases are compared
+_LARGEST_BASIS = 50  # terms of a basis that is not the only one
 _LARGEST = 300  # terms of all equations
 _SEVERAL = 150  # terms of all equations that are written in all ways
 _THOROUGH = 2  # bases, and kinds of equations for each, that are written in all ways
@@ -163,7 +175,7 @@ class _Reduction:
         has_sums = any(e.args[0].op in ("+", "-", "*") for e in several)
         self.searches: list[tuple[bool, bool, int]] = []  # expands sines, is for chains, bases
         if self.m < _WIDE:
-            self.searches += [(expands, False, _BASES) for expands in (True, False)[: 1 + has_sums]]
+            self.searches += [(True, False, _BASES), (False, False, 2)][: 1 + has_sums]
         if self.m > 2:
             self.searches.append((False, True, 1))
         self.moving = moving
@@ -176,19 +188,26 @@ class _Reduction:
             forms = Forms(self.graph, self.moving, self.signs, expands)
             for basis in itertools.islice(_Search(self, forms, is_chain).bases(), count):
                 key = tuple(frozenset(e.items()) for column in basis.columns for e in column)
-                if key not in seen:
+                is_long = sum(len(e) for column in basis.columns for e in column) > _LARGEST_BASIS
+                if key not in seen and not (found and is_long):
                     seen.add(key)
                     equations = _Equations(self, forms, basis)
                     found.append((equations.begin(), equations))
+                if len(found) > 1 and min(cost for cost, _ in found) > _DEAR:
+                    break
         if not found:
             raise NotReduced("no operation on columns makes the constraints 0 in closed form")
         several = sorted(found, key=lambda x: x[0])[:_THOROUGH]
         best = min((x.best() for _, x in several), key=lambda x: x.cost)
         graph, copies = self.derived.read.graph, dict[Node, Node]()
-        return dataclasses.replace(best, **{
-            name: tuple(_copied(graph, getattr(best, name), copies))
-            for name in ("w", "E", "e", "velocity", "rates", "quasi")
-        })  # fmt: skip
+
+        def back(nodes: Sequence[Node]) -> tuple[Node, ...]:
+            return tuple(_copied(graph, nodes, copies))
+
+        return Reduced(
+            back(best.w), back(best.E), back(best.e), back(best.velocity), back(best.rates),
+            back(best.quasi), best.how, best.cost,
+        )  # fmt: skip
 
     def copied(self, nodes: Sequence[Node]) -> list[Node]:
         """Return nodes of the model in the graph of the search, which is thrown away."""
@@ -322,7 +341,8 @@ class _Search:
         node = node - self.reduction.a[r]
         degrees = dict.fromkeys([*self.reduction.q, self.reduction.t], convolutions.MANY)
         if found is not None and (
-            len(found) <= _LONG and convolutions.cost_of([forms.node(found)], degrees)
+            len(found) <= _LONG
+            and convolutions.cost_of([forms.node(found)], degrees)
             <= convolutions.cost_of([node], degrees)
             or not self.is_chain
         ):
@@ -373,12 +393,11 @@ class _Search:
         forms = self.forms
         there = [x for x in entries if x]
         factor = there[0] if len(there) == 1 else forms.content(there)
-        parts = [forms.quotient(x, factor) for x in there]
-        if factor == UNIT or any(x is None for x in parts):
+        divided = [forms.quotient(x, factor) if x else x for x in entries]
+        parts = [x for x in divided if x is not None]
+        if factor == UNIT or len(parts) < len(divided):
             return entries, shift, False
-        left = iter(parts)
-        divided = [next(left) or {} if x else {} for x in entries]
-        return divided, forms.over(shift, factor) if shift else shift, forms.sign(factor) is None
+        return parts, forms.over(shift, factor) if shift else shift, forms.sign(factor) is None
 
     def size(self, entries: list[Polynomial], at: Sequence[int]) -> Polynomial:
         """Return the sum of the squares of some entries."""
@@ -428,15 +447,15 @@ class _Search:
                 )))  # fmt: skip
             for i in others:
                 if x[i]:
-                    share = [(c, forms.times(scaled(x[i], -1), f)) for c, f in along]
-                    new.append(self.combined((columns[i], UNIT), *share))
+                    back = [(c, forms.times(scaled(x[i], -1), f)) for c, f in along]
+                    new.append(self.combined((columns[i], UNIT), *back))
                 else:
                     new.append(columns[i])
                 dual.append(duals[i])
         shift = basis.shift
         if option.shift:
-            back = scaled(option.shift, -1)
-            shift = self.combined((shift, UNIT), *((c, forms.times(back, f)) for c, f in along))
+            left = scaled(option.shift, -1)
+            shift = self.combined((shift, UNIT), *((c, forms.times(left, f)) for c, f in along))
         names = self.reduction.model.coordinates
         where = " ".join(names[i] for i in sorted({
             next(i for i, e in enumerate(columns[j]) if e) for j in at
@@ -446,7 +465,7 @@ class _Search:
 
 
 # Kernels of a row by the places of their entries, and the signs.
-_KERNEL = {
+_KERNEL: dict[int, list[tuple[tuple[int, int], ...]]] = {
     2: [((1, 1), (0, -1))],
     4: [
         ((1, -1), (0, 1), (3, -1), (2, 1)),
@@ -485,16 +504,16 @@ class _Equations:
         self.attempt(self.by_nodes)
         for named in (False, True):
             self.forms.left = _PATIENCE
-            self.attempt(lambda named=named: self.by_forms(named))
+            self.attempt(functools.partial(self.by_forms, named))
         return min(x[0] for x in self.found)
 
     def best(self) -> Reduced:
         """Return the equations with the least cost after trying all ways to write them."""
         reduction, forms, graph = self.reduction, self.forms, self.graph
         least = min(x[0] for x in self.found)
-        for cost, polynomials, rates in sorted(self.ways, key=lambda x: x[0])[:_THOROUGH]:
+        for cost, polynomials, make in sorted(self.ways, key=lambda x: x[0])[:_THOROUGH]:
             if cost <= 1.4 * least + 2 and sum(map(len, polynomials)) <= _SEVERAL:
-                self.write_all(polynomials, rates)
+                self.write_all(polynomials, make)
         cost, velocity, rates = min(self.found, key=lambda x: x[0])
         E = [forms.node(c[i]) for i in range(self.n) for c in self.columns]
         e = [forms.node(x) for x in self.shift]
@@ -502,7 +521,10 @@ class _Equations:
         quasi = [
             graph.sum(forms.node(x) * y for x, y in zip(row, apart) if x) for row in self.duals
         ]
-        return Reduced(*map(tuple, (reduction.w, E, e, velocity, rates, quasi)), self.how, cost)
+        return Reduced(
+            tuple(reduction.w), tuple(E), tuple(e), tuple(velocity), tuple(rates), tuple(quasi),
+            self.how, cost,
+        )  # fmt: skip
 
     def attempt(self, way: Callable[[], None]) -> None:
         try:
@@ -553,9 +575,9 @@ class _Equations:
     def by_squares(
         self, columns: list[list[Node]], shift: list[Node], velocity: Sequence[Node]
     ) -> None:
-        """Make the same equations, if T is made of rates of positions, which need no F.
+        """Make the same equations, if T is made of rates of positions, without L_vq.
 
-        A rate u = b v adds to E^T (F - M (E' w + e')) its column b E times the rate of b E w + b e.
+        For a rate u = b(q) v the part of F - M (E' w + e') in D is u' for constant w, times b E.
         """
         reduction, graph, k = self.reduction, self.graph, self.k
         squares = reduction.squares or []
@@ -569,13 +591,23 @@ class _Equations:
         m = [[graph.zero] * k for _ in range(k)]
         r = []
         for i, j in itertools.combinations_with_replacement(range(k), 2):
-            m[i][j] = m[j][i] = graph.sum(
+            m[i][j] = m[j][i] = self.gathered(
                 c * (parts[a][i] * parts[b][j] + parts[a][j] * parts[b][i]) for c, a, b in squares
             )
         for i in range(k):
             lost = (c * (parts[a][i] * slow[b] + parts[b][i] * slow[a]) for c, a, b in squares)
-            r.append(_sum(graph, columns[i], force) - graph.sum(lost))
+            r.append(_sum(graph, columns[i], force) - self.gathered(lost))
         self.add(velocity, _solved(m, r))
+
+    def gathered(self, terms: Iterable[Node]) -> Node:
+        """Return a sum; the short terms together are in normal form, if that has fewer terms."""
+        forms, short, others = self.forms, list[Node](), list[Node]()
+        for e in terms:
+            (short if len(below([e])) <= _SHORT else others).append(e)
+        form = total(*((forms.of(e), 1) for e in short))
+        if len(form := forms.reduced(form)) < len(short):
+            short = [forms.node(form)]
+        return self.graph.sum([*short, *others])
 
     def momentum(self, x: Sequence[Node]) -> list[Node]:
         """Return M times a vector."""
@@ -598,10 +630,11 @@ class _Equations:
         }  # fmt: skip
         V = [self.replaced(v, rule) for v in self.v]
         F = [self.replaced(forms.of(e), rule) for e in reduction.F]
+        if sum(map(len, self.V)) > _LARGEST // 2:
+            raise TooLong
+        self.rates: dict[int, Polynomial] = {}
         slow = [self.rate(e, V, rule) for e in self.V]
-        force = [
-            total((f, 1), (_dot(forms, row, slow), -1)) for f, row in zip(F, M)
-        ]
+        force = [total((f, 1), (_dot(forms, row, slow), -1)) for f, row in zip(F, M)]
         r = [_dot(forms, c, force) for c in self.columns]
         pulled = [[_dot(forms, row, c) for row in M] for c in self.columns]
         m = [[_dot(forms, c, x) for x in pulled] for c in self.columns]
@@ -637,7 +670,9 @@ class _Equations:
         parts = []
         for term, x in a.items():
             for g, k in term:
-                slope = self.rate_of(g, V, rule)
+                if g not in self.rates:
+                    self.rates[g] = self.rate_of(g, V, rule)
+                slope = self.rates[g]
                 if slope:
                     rest = {tuple((h, j - (h == g)) for h, j in term if j != (h == g)): x * k}
                     parts.append((self.forms.multiplied(rest, slope), 1))
@@ -654,8 +689,9 @@ class _Equations:
             return UNIT
         if not e.reach & mask_of([*reduction.q, reduction.t]):
             return {}
-        motion = dict(zip(reduction.q, reduction.v)) | {reduction.t: self.graph.one}
-        (found,) = self.graph.along([e], motion)
+        if len(below([e])) > _LONGEST:
+            raise TooLong
+        (found,) = self.graph.along([e], self.motion)
         return self.replaced(forms.of(found), rule)
 
     def solve(self, m: list[list[Polynomial]], r: list[Polynomial]) -> None:
@@ -685,9 +721,7 @@ class _Equations:
                 nodes[: self.k],
             ))  # fmt: skip
 
-    def inverted(
-        self, m: list[list[Polynomial]]
-    ) -> tuple[list[list[Polynomial]], Polynomial]:
+    def inverted(self, m: list[list[Polynomial]]) -> tuple[list[list[Polynomial]], Polynomial]:
         """Return the adjugate and the determinant of a matrix of at most 3 rows."""
         forms, size = self.forms, len(m)
 
@@ -714,9 +748,7 @@ class _Equations:
         ]
         return adjugate, minor(every, every)
 
-    def simplified(
-        self, above: Polynomial, below: Polynomial
-    ) -> tuple[Polynomial, Polynomial]:
+    def simplified(self, above: Polynomial, below: Polynomial) -> tuple[Polynomial, Polynomial]:
         """Return a fraction without the factors that are found."""
         forms = self.forms
         if not above:

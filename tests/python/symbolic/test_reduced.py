@@ -35,7 +35,7 @@ def model_of(L, constraints, q, **options):
     symbols = {s for e in (L, *constraints, *force.values()) for s in sympy.sympify(e).free_symbols}
     inputs = {s.name for s in options.get("inputs", ())}
     taken = {*q, *(x.d for x in q), dal.time}
-    names = {s.name: 1.0 for s in symbols - taken if s.name not in inputs}
+    names = dict.fromkeys(sorted({s.name for s in symbols - taken} - inputs), 1.0)
     return given.make_model(L, constraints, q, names or None, **options)[0]
 
 
@@ -47,10 +47,7 @@ def unit(v):
 
 
 class Numbers:
-    """A model and its equations on D at random states.
-
-    ``rng`` gives the coordinates; all else is given or random.
-    """
+    """A model and its equations on D, in numbers."""
 
     def __init__(self, model):
         self.model, self.found = model, model.reduced
@@ -92,7 +89,7 @@ class Numbers:
             start += len(part)
         return found
 
-    def check(self, seed=0, count=4, **given):
+    def check(self, seed=0, count=3, **given):
         """Check the basis, the velocities and the accelerations at random states."""
         rng = np.random.default_rng(seed)
         for _ in range(count):
@@ -112,6 +109,16 @@ class Numbers:
         return there
 
 
+    def check_rank(self, count=20):
+        """Check that E has full rank where mu has, at angles that are multiples of pi/2."""
+        rng = np.random.default_rng(2)
+        for _ in range(count):
+            q = rng.choice([0.0, 0.5, 1.0, -0.5], self.model.n) * np.pi
+            there = self.at(q, np.ones(self.k))
+            if np.linalg.matrix_rank(there["mu"], 1e-9) == self.model.m:
+                assert np.linalg.matrix_rank(there["E"], 1e-6) == self.k
+
+
 def accelerations(x):
     """The accelerations, by multipliers."""
     m = len(x["mu"])
@@ -124,7 +131,7 @@ def accelerations(x):
 
 def catalogue():
     """The systems written in C, in SymPy."""
-    m, J, a, R, k, g, r, A, C, d, K = known("m J a R k g r A C d K")
+    m, J, a, R, k, g, r, A, C = known("m J a R k g r A C")
     inertia, k1, k2, k3, J0, J1, gs, eps, Omega = known("I k1 k2 k3 J0 J1 gs eps Omega")
     q, v = moving("x y z")
     (x, y, z), (vx, vy, vz) = q, v
@@ -180,7 +187,7 @@ def catalogue():
         vy * cos(theta + s * phi) - vx * sin(theta + s * phi) - s * r * turn * cos(phi)
         for s in (1, -1)
     ], q  # fmt: skip
-    yield "n_trailer", 119, *trailers(3)
+    yield "n_trailer", 83, *trailers(3)
 
 
 def trailers(count):
@@ -196,13 +203,16 @@ def trailers(count):
     return L, constraints, q
 
 
-@pytest.mark.parametrize("name, most, L, constraints, q", [*catalogue()], ids=lambda x: str(x)[:20])
+@pytest.mark.parametrize(
+    "name, most, L, constraints, q", [*catalogue()], ids=lambda x: x if isinstance(x, str) else ""
+)
 def test_systems_in_C(name, most, L, constraints, q):
     """The accelerations of the system in C come from formulas by hand."""
     system = dal.systems.get(name)
     model = model_of(L, constraints, q)
     numbers = Numbers(model)
     numbers.check()
+    numbers.check_rank()
     assert model.reduced.cost <= most
     p = [system.parameters[key] for key in model.parameters]
     rng = np.random.default_rng(1)
@@ -218,7 +228,9 @@ def test_systems_in_C(name, most, L, constraints, q):
 ])  # fmt: skip
 def test_systems_in_sympy(name, most):
     model = dal.systems.get(name)._model
-    Numbers(model).check()
+    numbers = Numbers(model)
+    numbers.check()
+    numbers.check_rank()
     assert model.reduced.cost <= most
 
 
@@ -260,9 +272,9 @@ def words(model):
 
 
 def test_affine():
-    """A table that turns unevenly carries a blade of heading 0: x' = -W(t) y + ..., y' = W x."""
+    """A table turns at a rate that grows; on it is a blade, of heading 0 and of heading z."""
     turn = dal.time / 3
-    model = model_of(unit(V3) - X**2 * Y / 2, [Y.d - turn * X - Y.d * 0 - sin(Z)], Q3)
+    model = model_of(unit(V3) - X**2 * Y / 2, [Y.d - turn * X - sin(Z)], Q3)
     numbers = Numbers(model)
     there = numbers.check()
     assert words(model) == ["pivot"] and abs(there["e"]).max() > 0.1
@@ -381,13 +393,13 @@ def test_what_is_not_reduced(L, constraints, reason):
 
 
 def test_long_chains():
-    """Ten trailers take twice as many operations as five: nothing is expanded."""
+    """Eight trailers take twice as many convolutions as four: nothing is expanded."""
     costs = []
-    for count in (5, 10):
+    for count in (4, 8):
         model = model_of(*trailers(count))
         Numbers(model).check(count=2)
         costs.append(model.reduced.cost)
-    assert costs[1] <= 2 * costs[0]
+    assert costs[0] <= 110 and costs[1] <= 2 * costs[0]
 
 
 # ---- what costs ----------------------------------------------------------------------------------
