@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from .graph import CONDITIONS, Node, below
 from .model import Model
-from .motion import Motion
+from .motion import Motion, series_of
 from .printing import C, Program, Text, nearest, spelled
 from .recurrences import ENDLESS, RULES, Operand, Series
 from .symbols import TIME
@@ -33,6 +33,10 @@ class Writer:
         columns = len(series.states) + len(series.switches)
         self.width = -(-columns // 4) * 4
         self._low: dict[Node, str | None] = {}
+        self._late: dict[Node, int] = {}  # how many operations of an order come before
+        for e in series.nodes:
+            is_known = series.degree[e] < ENDLESS or e in series.states
+            self._late[e] = 0 if is_known else 1 + max(self._late[a] for a in e.args)
 
     def lines(self) -> list[str]:
         """Return all statements."""
@@ -108,6 +112,9 @@ class Writer:
         args = [self.zeroth(a) for a in e.args]
         if e.op in ("sqrt", "power"):
             args[0] = self._base(e.args[0])
+        if e.op == "*" and (fraction := _fraction(e.args[0])):
+            above, below = fraction
+            return f"{above} * {self._part(e.args[1])} / {below}"
         if e.op in ("+", "-", "*", "/"):
             return f" {e.op} ".join(f"({x})" if x[0] == "-" else x for x in args)
         if e.op in C.forms:
@@ -286,7 +293,7 @@ class Writer:
             return self._times(e, M)
         if op == "/":
             if not k[1]:
-                return f"{k[0]} * {over}"
+                return f"dal_series_over({k[0]}, exact, {zero[1]}, {over})"
             before = f"f{self._number[e.args[1]]} * b{self._number[e]}"
             part = f"({M[0]} + {k[1]} * {self.zeroth(e)})" if M else before
             return f"({k[0]} - {part}) * {over}" if k[0] else f"-({part}) * {over}"
@@ -308,12 +315,17 @@ class Writer:
         k = [self.kth(a), self.kth(b)]
         if a.op == "number" and a.value == -1:
             return f"-{k[1]}"
+        if fraction := _fraction(a):
+            above, below = fraction
+            return f"dal_series_over({above} * {k[1]}, exact, {below}, 1.0 / {below})"
         if not (k[0] and k[1]):
             return f"{one} * {k[1]}" if k[1] else f"{other} * {k[0]}"
         if M and a is b:
             return f"{M[0]} + 2.0 * {one} * {k[0]}"
         if M:  # what is known last is added last
-            return f"({M[0]} + {k[0]} * {other}) + {one} * {k[1]}"
+            terms = [f"{k[0]} * {other}", f"{one} * {k[1]}"]
+            first, last = terms if self._late[b] >= self._late[a] else terms[::-1]
+            return f"({M[0]} + {first}) + {last}"
         if self.series.degree[a] != 1:
             a, b, one, k = b, a, other, k[::-1]
         return f"{one} * {k[1]} + f{self._number[a]} * b{self._number[b]}"
@@ -330,6 +342,19 @@ class Writer:
         return (f"{sign}({k[0]} * {self._part(other)} + dal_series_over({M[0]}, exact, number, inverse))")
 
 
+def _fraction(e: Node) -> tuple[float, float] | None:
+    """Return numerator and denominator of a number that is not a double, if they are doubles.
+
+    Rounded, it would be a bias of the motion.
+    """
+    if e.op != "number":
+        return None
+    above, below = e.value.numerator, e.value.denominator
+    is_double = below & (below - 1) == 0
+    most = 2**53
+    return None if is_double or max(abs(above), below) > most else (float(above), float(below))
+
+
 # ---- the program -------------------------------------------------------------------------------
 
 
@@ -339,7 +364,7 @@ def expansion(made: Program, model: Model, motion: Motion) -> None:
     q, p, u = ([read(x) for x in part] for part in (model.q, model.p, model.u))
     time = read(TIME)
     y = [*q, *motion.w]
-    series = Series(dict(zip(y, (*motion.velocity, *motion.rates))), time)
+    series = series_of(model, motion)
     places = {x.value: f"p[{i}]" for i, x in enumerate(p)}
     places |= {x.value: f"at->u[{i}]" for i, x in enumerate(u)} | {time.value: "at->t"}
     places |= {x.value: f"at->y[{i}]" for i, x in enumerate(y)}

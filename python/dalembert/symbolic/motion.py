@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .graph import Node
 from .model import Model
+from .recurrences import Series
 from .reduced import NotReduced
+from .symbols import TIME
 
 
 @dataclass(frozen=True)
@@ -36,13 +38,34 @@ class Motion:
 
 
 def motion(model: Model) -> Motion:
-    """Return the motion of a model: on D if a basis of D is found."""
+    """Return the motion of a model: on D, unless no basis of D is found or (q, v) costs less."""
     v = [model.derived.read(x) for x in model.v]
+    plain = Motion(v, v, [], v, model.m == 0)
     try:
         on_D = model.reduced
     except NotReduced:
-        return Motion(v, v, accelerations(model), v, model.m == 0)
-    return Motion(on_D.w, on_D.velocity, on_D.rates, on_D.quasi, True)
+        return replace(plain, rates=accelerations(model))
+    found = Motion(on_D.w, on_D.velocity, on_D.rates, on_D.quasi, True)
+    if model.n > _SMALL or model.m == 0:
+        return found
+    plain = replace(plain, rates=accelerations(model))
+    return plain if _cost(model, plain) < _MUCH_LESS * _cost(model, found) else found
+
+
+_SMALL = 8  # coordinates; in larger models the multipliers cost more
+_MUCH_LESS = 0.8  # since v has to be projected, and there are more states
+
+
+def series_of(model: Model, motion: Motion) -> Series:
+    """Return the series of (q, w)."""
+    read = model.derived.read
+    states = [*map(read, model.q), *motion.w]
+    return Series(dict(zip(states, (*motion.velocity, *motion.rates))), read(TIME))
+
+
+def _cost(model: Model, motion: Motion) -> int:
+    """Return the number of convolutions."""
+    return len(series_of(model, motion).pairs)
 
 
 def accelerations(model: Model) -> list[Node]:

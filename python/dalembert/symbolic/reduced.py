@@ -55,6 +55,7 @@ _LARGEST_BASIS = 50  # terms of a basis that is not the only one
 _LARGEST = 300  # terms of all equations
 _SEVERAL = 150  # terms of all equations that are written in all ways
 _THOROUGH = 2  # bases, and kinds of equations for each, that are written in all ways
+_UNEVEN = 1.25  # what a basis may cost less whose energy depends on q, and so on the roundoff of q
 _LARGEST_BLOCK = 3  # that is inverted by Cramer's rule
 
 
@@ -197,8 +198,10 @@ class _Reduction:
                     break
         if not found:
             raise NotReduced("no operation on columns makes the constraints 0 in closed form")
-        several = sorted(found, key=lambda x: x[0])[:_THOROUGH]
-        best = min((x.best() for _, x in several), key=lambda x: x.cost)
+        several = sorted(found, key=lambda x: x[0] * x[1].weight)[:_THOROUGH]
+        _, best = min(
+            ((x.weight, x.best()) for _, x in several), key=lambda x: x[0] * x[1].cost
+        )
         graph, copies = self.derived.read.graph, dict[Node, Node]()
 
         def back(nodes: Sequence[Node]) -> tuple[Node, ...]:
@@ -497,7 +500,13 @@ class _Equations:
             for i in range(self.n)
         ]  # fmt: skip
         self.found: list[tuple[int, list[Node], list[Node]]] = []
+        self.is_even = False  # whether E^T M E is constant
         self.ways: list[tuple[int, list[Polynomial], _Rates]] = []
+
+    @property
+    def weight(self) -> float:
+        """The factor of the cost by which bases are compared."""
+        return 1.0 if self.is_even else _UNEVEN
 
     def begin(self) -> int:
         """Write all kinds of equations in one way; return the least cost."""
@@ -638,6 +647,7 @@ class _Equations:
         r = [_dot(forms, c, force) for c in self.columns]
         pulled = [[_dot(forms, row, c) for row in M] for c in self.columns]
         m = [[_dot(forms, c, x) for x in pulled] for c in self.columns]
+        self.is_even = all(forms.is_constant(x) for row in m for x in row)
         self.solve(m, r)
         if reduction.m and reduction.derived.mass is not None and not self.is_divided:
             self.attempt(lambda: self.by_multipliers(M, F, rule))
