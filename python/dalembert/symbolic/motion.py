@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from .graph import Node
 from .model import Model
@@ -38,22 +38,13 @@ class Motion:
 
 
 def motion(model: Model) -> Motion:
-    """Return the motion of a model: on D, unless no basis of D is found or (q, v) costs less."""
-    v = [model.derived.read(x) for x in model.v]
-    plain = Motion(v, v, [], v, model.m == 0)
+    """Return the motion of a model: on D if a basis of D is found."""
     try:
-        on_D = model.reduced
+        found = model.reduced
     except NotReduced:
-        return replace(plain, rates=accelerations(model))
-    found = Motion(on_D.w, on_D.velocity, on_D.rates, on_D.quasi, True)
-    if model.n > _SMALL or model.m == 0:
-        return found
-    plain = replace(plain, rates=accelerations(model))
-    return plain if _cost(model, plain) < _MUCH_LESS * _cost(model, found) else found
-
-
-_SMALL = 8  # coordinates; in larger models the multipliers cost more
-_MUCH_LESS = 0.8  # since v has to be projected, and there are more states
+        v = [model.derived.read(x) for x in model.v]
+        return Motion(v, v, accelerations(model), v, model.m == 0)
+    return Motion(found.w, found.velocity, found.rates, found.quasi, True)
 
 
 def series_of(model: Model, motion: Motion) -> Series:
@@ -61,11 +52,6 @@ def series_of(model: Model, motion: Motion) -> Series:
     read = model.derived.read
     states = [*map(read, model.q), *motion.w]
     return Series(dict(zip(states, (*motion.velocity, *motion.rates))), read(TIME))
-
-
-def _cost(model: Model, motion: Motion) -> int:
-    """Return the number of convolutions."""
-    return len(series_of(model, motion).pairs)
 
 
 def accelerations(model: Model) -> list[Node]:
