@@ -28,11 +28,11 @@ static const double POWER = 1.25;
 /* The order for such coefficients, ln of whose inverse is size.  With the order k = size a step is
  * 1/e of the radius of convergence.  That is the optimum where the time of a step grows linearly
  * with its order, as measured up to 15 or so.  At high orders large terms that cancel would cost
- * digits, so that steps become a little shorter: at order 35 they are 0.28 of the radius. */
+ * digits, so that steps become a little shorter: at order 32 they are a quarter of the radius. */
 static size_t order_for(double size)
 {
     enum { LEAST = 6, MOST = DAL_SERIES_MOST };
-    const double order = ceil(size * (1.0 - size / 215.0));
+    const double order = ceil(size * (1.0 - size / 155.0));
     return order < LEAST ? LEAST : order > MOST ? MOST : (size_t)order;
 }
 
