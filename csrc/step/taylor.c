@@ -405,6 +405,20 @@ static double until_switch(taylor *self, double direction, double units)
     return units;
 }
 
+/* The switch that is at most some roundings of t ahead, if no step is short enough to lead there: as
+ * near the end of a root. */
+static size_t switch_at_hand(const taylor *self, double direction)
+{
+    const double most = 16.0 * fabs(nextafter(self->t, HUGE_VAL) - self->t) / self->unit;
+    for (size_t i = 0; i < self->series->switches; i++) {
+        const double *const g = switch_at(self, i);
+        const double slope = direction * g[self->width];
+        if (self->crossed[i] == 0.0 && self->side[i] * slope < 0.0
+            && fabs(g[0]) <= most * fabs(slope)) return i;
+    }
+    return self->series->switches;
+}
+
 /* Whether the polynomial of the piece solves the ODE where it ends. */
 static bool solves_at_end(taylor *self, const dal_motion *motion)
 {
@@ -426,7 +440,8 @@ static bool solves_at_end(taylor *self, const dal_motion *motion)
         const double roundoff = DAL_ROUNDOFF * (double)self->order
                               * dal__largest(is_q ? self->n : self->states - self->n, kind);
         const double difference = fabs(self->slope[i] - self->rates[width + i]);
-        if (!(difference <= allowed_slope(self->tolerance) * size + roundoff)) return false;
+        if (!(difference <= allowed_slope(self->tolerance) * size
+              || difference * fabs(s) <= roundoff)) return false;
     }
     return true;
 }
@@ -443,32 +458,44 @@ static bool cross(taylor *self)
     return true;
 }
 
+/* Shortens the piece of so many units, in a time of length, until its polynomial solves the ODE at
+ * its end, where there is doubt.  Returns false if then it leads nowhere. */
+static bool shorten(taylor *self, const dal_motion *motion, double *units, double length)
+{
+    enum { HALVINGS = 60 };
+    const double last = self->last_length;
+    const bool is_doubtful =
+        last == 0.0 || !(*units * self->unit <= GROWTH * last) || self->series->is_branched;
+    for (int k = 0; k <= HALVINGS; k++, length *= 0.5) {
+        self->end = self->t + direction_of(motion) * length;
+        if (self->end == self->t) return false;
+        if (!is_doubtful || solves_at_end(self, motion)) {
+            self->last_length = *units < HUGE_VAL ? *units * self->unit
+                                                  : fmax(length, self->unit);
+            return true;
+        }
+        *units = 0.5 * length / self->unit;
+        self->switched = self->series->switches;
+    }
+    return false;
+}
+
 /* A piece from y. */
 static int begin_piece(taylor *self, dal_motion *motion)
 {
-    enum { HALVINGS = 60 };
-    const double direction = direction_of(motion), last = self->last_length;
-    double units, length;
+    const double direction = direction_of(motion);
+    const size_t switches = self->series->switches;
     for (;;) {
+        double units;
         const int status = expand_on_sides(self, motion, &units);
         if (status) return status;
-        length = until_switch(self, direction, fmin(units, LONGEST)) * self->unit;
-        self->end = self->t + direction * length;
-        if (self->end != self->t || self->switched == self->series->switches) break;
+        const double length = until_switch(self, direction, fmin(units, LONGEST)) * self->unit;
+        self->stale = false;
+        if (shorten(self, motion, &units, length)) return DAL_SUCCESS;
+        if (self->switched == switches) self->switched = switch_at_hand(self, direction);
+        if (self->switched == switches) return fail_to_go_on(self, motion, length);
         if (!cross(self)) return fail_to_slide(self, motion);
     }
-    const bool suspicious =
-        last == 0.0 || !(units * self->unit <= GROWTH * last) || self->series->is_branched;
-    for (int k = 0; self->end == self->t || (suspicious && !solves_at_end(self, motion)); k++) {
-        if (self->end == self->t || k == HALVINGS) return fail_to_go_on(self, motion, length);
-        units = length *= 0.5;
-        units /= self->unit;
-        self->end = self->t + direction * length;
-        self->switched = self->series->switches;
-    }
-    self->last_length = units < HUGE_VAL ? units * self->unit : fmax(length, self->unit);
-    self->stale = false;
-    return DAL_SUCCESS;
 }
 
 /* x[2n] <- y at a time, with the velocity in D to roundoff. */

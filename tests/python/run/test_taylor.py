@@ -1,10 +1,9 @@
-"""The reference flow by Taylor series: an independent integrator, as a judge and as a method."""
+"""The scheme "taylor": the flow of the ODE on D by the series of a model."""
 
 import functools
 import os
 import pickle
 import signal
-import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -13,14 +12,24 @@ import pytest
 import sympy as sp
 
 import dalembert as dal
+from dalembert import core
+from dalembert.core import ffi
 
 x, y, z, w = dal.coordinates("x y z w")
 t, n = dal.time, sp.Symbol("n")
+F, T = sp.symbols("F T")
 
 
-def bent_root(exponent):
-    """A free particle in the plane whose potential ends at x = 0."""
-    return dal.System.from_sympy((x.d**2 + y.d**2) / 2 - x**exponent, [])
+def free(V, force=None, **more):
+    """Return a particle in the plane with a potential."""
+    return dal.System.from_sympy((x.d**2 + y.d**2) / 2 - V, [], force=force, **more)
+
+
+def skate(**more):
+    return dal.System.from_sympy(
+        (x.d**2 + y.d**2 + z.d**2) / 2 - x / 2, [-sp.sin(z) * x.d + sp.cos(z) * y.d],
+        q0=[0, 0, 0.3], v0=[np.cos(0.3), np.sin(0.3), 1], **more,
+    )  # fmt: skip
 
 
 OWN = {
@@ -40,7 +49,9 @@ OWN = {
         functools.partial(dal.System.from_sympy, parameters={n: 2.5}),
         (x.d**2 + y.d**2) / 2 - (2 + x**2) ** n * (1 + y**2) / 9, [],
     ),
-    "free": (dal.System.from_sympy, (x.d**2 + y.d**2 + z.d**2 + x.d * y.d) / 2 - x * y**3, []),
+    "no freedom": (
+        dal.System.from_sympy, (x.d**2 + y.d**2) / 2, [x.d - y * sp.cos(t), y.d + x]
+    ),
     "two": (
         dal.System.from_sympy,
         (x.d**2 + y.d**2 + z.d**2 + w.d**2 + x.d * y.d) / 2 - (1 + x**2) ** sp.Rational(3, 2) / w,
@@ -58,19 +69,17 @@ def own(name):
 
 
 @pytest.mark.parametrize("name", ["two_wheeled_robot", "steered_car", *OWN])
-def test_agrees_with_the_other_methods(name):
+def test_agrees_with_the_reference(name):
     system, q0, v0 = own(name) if name in OWN else (dal.systems.get(name), None, None)
     given = {"h": 0.1, "t_end": 3, "consistent": "project"}
-    series = {"method": "taylor", "tolerance": 1e-15}
-    run = dal.integrate(system, "reference", q0, v0, **given, **series)
+    run = dal.integrate(system, "taylor", q0, v0, **given)
     other = dal.integrate(system, "reference", q0, v0, tolerance=1e-14, **given)
     np.testing.assert_allclose(run.x, other.x, rtol=0, atol=1e-12 * abs(other.x).max())
     assert (run.t == other.t).all() and run.success and run.message == other.message
-    assert run.residual.max() <= run.stats.worst_residual <= 4 * system.n * 2.0**-53
+    assert run.residual[1:].max() <= run.stats.worst_residual <= 4 * system.n * 2.0**-53
     assert 0 < run.stats.evaluations < other.stats.evaluations / 10
-    back = dal.integrate(
-        system, "reference", run.q[-1], run.v[-1], h=-0.1, t0=3, t_end=0, **series
-    )
+    back = dal.integrate(system, q0=run.q[-1], v0=run.v[-1], h=-0.1, t0=3, t_end=0,
+                         scheme="taylor")  # fmt: skip
     np.testing.assert_allclose(back.x[-1], run.x[0], rtol=0, atol=1e-11)
 
 
@@ -78,7 +87,7 @@ A, B = sp.Rational(3, 10), sp.Symbol("s")
 
 
 @functools.cache
-def skate(s):
+def exact_skate(s):
     """Return (q, v) at s of the skate, from (0, 0, 0.3) with speed 1: it is c - sin(theta)/2."""
     theta, c = A + B, 1 + sp.sin(A) / 2
     speed = c - sp.sin(theta) / 2
@@ -88,58 +97,221 @@ def skate(s):
     return np.array([float(sp.re(e)) for e in numbers])
 
 
-SKATE = dal.System.from_sympy(
-    (x.d**2 + y.d**2 + z.d**2) / 2 - x / 2, [-sp.sin(z) * x.d + sp.cos(z) * y.d],
-    q0=[0, 0, 0.3], v0=[np.cos(0.3), np.sin(0.3), 1],
-)  # fmt: skip
+def test_exact_at_a_late_time():
+    """An angle of 16 turns: its sine is that of the angle, not of its rounding."""
+    for h in (100.0, 0.5):
+        run = dal.integrate(skate(), "taylor", h=h, t_end=100)
+        np.testing.assert_allclose(run.x[-1], exact_skate(100), rtol=0, atol=3e-13)
+    run = dal.integrate(skate(), t_end=100)
+    np.testing.assert_allclose(run.x[-1], exact_skate(100), rtol=0, atol=3e-13)
 
 
-@pytest.mark.parametrize("method, bound", [("taylor", 1e-9), ("rk8pd", 1e-7), ("msadams", 1e-5)])
-def test_long_intervals(method, bound):
-    """What is not stored stays in D too: the distance of stored states makes no difference."""
-    exact = skate(400)
-    for h in (400.0, 40.0):
-        run = dal.integrate(SKATE, "reference", h=h, t_end=400, method=method, tolerance=1e-11)
-        assert np.abs(run.x[-1] - exact).max() < bound, h
-    end = dal.reference(SKATE, t=400, method=method, tolerance=1e-11)
-    assert np.abs(np.r_[end.q, end.v] - exact).max() < bound
+def test_the_sine_of_a_large_angle():
+    """At 1e8 an angle is rounded by 1e-8, which acts like a force if its rest is dropped."""
+    far = 2.0**26
+    near, there = (
+        dal.integrate(
+            dal.System.from_sympy(
+                (x.d**2 + y.d**2) / 2 - sp.cos(x - offset) * sp.Rational(1, 3), []
+            ),
+            "taylor", [offset + 0.5, 0], [0.7, 0], h=1.0, t_end=200,
+        ) for offset in (0.0, far)
+    )  # fmt: skip
+    np.testing.assert_allclose(there.v, near.v, rtol=0, atol=2e-7)
+    drift = abs(there.energy - there.energy[0])
+    assert drift.max() < 4 * np.spacing(far) and near.energy.std() < 3e-15
 
 
-def test_off_D_the_flow_stays_as_far_off():
-    """What is assumed is used: the ODE keeps mu v, and only what is stored is brought into D."""
-    across = 0.25
-    v0 = np.array(SKATE.v0) + across * np.array([np.sin(0.3), -np.cos(0.3), 0])
-    with pytest.warns(dal.DalembertWarning, match="energy"):
-        run = dal.integrate(
-            SKATE, "reference", SKATE.q0, v0, h=100.0, t_end=100, consistent="assume"
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_the_error_is_about_the_tolerance(tolerance):
+    run = dal.integrate(skate(), "taylor", h=100.0, t_end=100, tolerance=tolerance)
+    error = abs(run.x[-1] - exact_skate(100)).max()
+    assert error < 1000 * tolerance  # the speed is off by that of a step, for a time of 100
+    finer = dal.integrate(skate(), "taylor", h=100.0, t_end=100, tolerance=tolerance / 1000)
+    assert abs(finer.x[-1] - exact_skate(100)).max() < max(0.1 * error, 3e-13)
+
+
+def test_energy_over_a_long_time():
+    """Without bias the energy walks at random: 2e4 time units, some 1e4 steps."""
+    springs = dal.System.from_sympy(
+        (x.d**2 + y.d**2 + z.d**2) / 2 - x**2 / 2 - y**2 - 3 * z**2 / 4, [z.d - y * x.d],
+        q0=[1, 0, 0.5], v0=[0, 1, 0],
+    )  # fmt: skip
+    run = dal.integrate(springs, "taylor", h=1000.0, t_end=20000)
+    assert abs(run.energy - run.energy[0]).max() < 5e-14
+    assert run.stats.worst_residual <= 4 * 3 * 2.0**-53
+
+
+# ---- steps of its own size -----------------------------------------------------------------------
+
+
+def test_without_h():
+    """Without h a model takes its series, and other systems the reference flow."""
+    run = dal.integrate(skate(), t_end=20)
+    assert run.scheme.name == "taylor" and run.control == {"h": "own"}
+    assert run.t[0] == 0 and run.t[-1] == 20 and len(run.t) < 20 and run.stats.steps == len(run.t) - 1
+    np.testing.assert_allclose(run.x[-1], exact_skate(20), rtol=0, atol=1e-13)
+    between = run(11.3)
+    np.testing.assert_allclose([*between.q, *between.v], exact_skate(sp.Rational(113, 10)),
+                               rtol=0, atol=1e-13)  # fmt: skip
+    back = dal.integrate(skate(), q0=run.q[-1], v0=run.v[-1], t0=20, t_end=0)
+    np.testing.assert_allclose(back.x[-1], run.x[0], rtol=0, atol=1e-12)
+    assert (np.diff(back.t) < 0).all()
+    few = dal.integrate(skate(), t_end=20, stride=4)
+    assert (few.t[:-1] == run.t[::4][: len(few.t) - 1]).all() and few.t[-1] == 20
+    particle = dal.systems.particle()
+    for method in ("rk8pd", "msadams", "rodas"):
+        other = dal.integrate(particle, t_end=5, method=method, tolerance=1e-10)
+        assert other.scheme.name == "reference" and other.t[-1] == 5 and len(other.t) > 10
+        np.testing.assert_allclose(other.q[-1], particle.exact(5.0)[0], rtol=0, atol=1e-8)
+
+
+def test_output_times():
+    times = [0, 0.5, 0.5, 1.234, 2]
+    run = dal.integrate(skate(), t_end=2, t_eval=times)
+    assert (run.t == times).all()
+    for row, s in zip(run.x, times):
+        np.testing.assert_allclose(row, exact_skate(sp.nsimplify(s)), rtol=0, atol=1e-14)
+
+
+def test_what_does_not_go_together():
+    for given, words in (
+        ({"scheme": "midpoint", "t_end": 1}, "h is missing, or 'own', with the scheme 'midpoint'"),
+        ({"scheme": "taylor", "h": "auto", "t_end": 1}, "h = 'auto' with the scheme 'taylor'"),
+        ({"t_end": 1, "steps": 3}, "steps = 3: not used with h = 'own'"),
+        ({}, "t_end is missing"),
+        ({"scheme": "taylor", "method": "rk8pd", "t_end": 1}, "method = 'rk8pd': not used with"),
+        ({"scheme": "taylor", "tolerance": 0.5, "t_end": 1}, "tolerance = 0.5"),
+        ({"t_end": 1, "energy": "keep"}, "energy = 'keep': not used with h = 'own'"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=words):
+            dal.integrate(skate(), **given)
+    with pytest.raises(NotImplementedError, match="has no Taylor series, which come from its expr"):
+        dal.integrate(dal.systems.particle(), "taylor", t_end=1)
+
+
+def test_stepper():
+    stepper = dal.Stepper(skate(), "taylor")
+    stepper.step()
+    first = dal.integrate(skate(), t_end=20)
+    assert stepper.t == first.t[1] and (stepper.q == first.q[1]).all()
+    stepper.until(20)
+    assert stepper.t == 20
+    np.testing.assert_allclose(stepper.q, exact_skate(20)[:3], rtol=0, atol=1e-13)
+    options = ffi.new("dal_options *", {"own_steps": 1})
+    pair, system = dal.Scheme.pair(0.5), skate()
+    with pytest.raises(NotImplementedError, match='"pair:.*has no steps of its own size'):
+        core.make("stepper", system._handle, pair._record, options, owner=system._handle)
+
+
+# ---- inputs, events, saved states ----------------------------------------------------------------
+
+
+def steered(driven=False):
+    constraints = [y.d - sp.tan(z) * x.d, *([z.d - T] if driven else [])]
+    force = {} if driven else {"force": {x: F, z: T}}
+    return dal.System.from_sympy(
+        (x.d**2 + y.d**2 + z.d**2) / 2 - x**2 / 9, constraints, q0=[0, 0, 0.1],
+        v0=[1, np.tan(0.1), 0], inputs=[T] if driven else [F, T], **force,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_inputs(driven):
+    """Steps end where inputs change; a constraint with inputs moves the velocity."""
+    rows = np.random.default_rng(0).normal(size=(50, 2))[:, : 1 if driven else 2]
+    given = {"h": 0.02, "t_end": 1, "inputs": rows, "consistent": "project"}
+    run = dal.integrate(steered(driven), "taylor", **given)
+    other = dal.integrate(steered(driven), "reference", tolerance=1e-14, **given)
+    np.testing.assert_allclose(run.x, other.x, rtol=0, atol=1e-14)
+    alone = dal.integrate(steered(driven), t_end=1, inputs=rows, hold=0.02, consistent="project")
+    np.testing.assert_allclose(alone.x[-1], other.x[-1], rtol=0, atol=1e-14)
+    constant = dal.integrate(steered(driven), t_end=1, inputs=rows[0], consistent="project")
+    assert len(constant.t) < 10
+
+
+def test_events():
+    def wall(t, q, v):
+        return q[0] - 0.5
+
+    wall.terminal = True
+    run = dal.integrate(skate(), t_end=20, events=[wall])
+    assert run.status == 1 and abs(run.q[-1, 0] - 0.5) < 1e-14 and len(run.t_events[0]) == 1
+    exact = exact_skate(sp.nsimplify(float(run.t[-1])))
+    np.testing.assert_allclose(run.x[-1], exact, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("sizes", [{}, {"h": 0.25}])
+def test_journal(tmp_path, sizes):
+    """A run that goes on from its journal has the bits of one that never ended."""
+    contact = free(x + 50 * sp.Max(0, -x) ** 2)
+    given = {"scheme": "taylor", "q0": [1, 0], "v0": [0.1, 1], **sizes}
+    path = tmp_path / "run.dal"
+    dal.integrate(contact, **given, t_end=5, journal=path)
+    longer = dal.resume(path, contact, t_end=9)
+    until = {} if sizes else {"t_eval": longer.t}
+    whole = dal.integrate(contact, **given, t_end=9, **until)
+    if sizes:
+        np.testing.assert_array_equal(longer.x, whole.x)
+    else:  # the step to t = 5 was cut
+        np.testing.assert_allclose(longer.x, whole.x, rtol=0, atol=1e-13)
+
+
+def test_saved_states():
+    """At every state, in pieces and at their ends, on both sides of a switch."""
+    contact = free(x + 50 * sp.Max(0, -x) ** 2)
+    for sizes in ({}, {"h": 0.1}):
+        one, other = (
+            dal.Stepper(contact, "taylor", q0=[1, 0], v0=[0.1, 1], **sizes) for _ in range(2)
         )
-    # along the blade v' = -cos(theta)/2 - across
-    speed = 1 - across * 100 - (np.sin(100.3) - np.sin(0.3)) / 2
-    along = run.v[-1, 0] * np.cos(100.3) + run.v[-1, 1] * np.sin(100.3)
-    assert abs(along - speed) < 1e-8
-    end = dal.reference(SKATE, SKATE.q0, v0, t=100, consistent="assume")
-    np.testing.assert_allclose(end.v, run.v[-1], rtol=0, atol=1e-8)
+        for _ in range(40):
+            one.step()
+            other.restore(one.save())
+            for _ in range(2):
+                other.step()
+            saved = one.save()
+            one.step(), one.step()
+            assert (one.q == other.q).all() and (one.v == other.v).all() and one.t == other.t
+            one.restore(saved)
 
 
-def test_a_large_coordinate_is_not_the_measure_of_all():
-    """The tolerance is that of each number in the state; nothing depends on y."""
-    given = {"h": 1.0, "t_end": 20, "method": "taylor", "tolerance": 1e-11}
-    near = dal.integrate(SKATE, "reference", **given)
-    for far in (1e3, 1e8, 1e14):
-        run = dal.integrate(SKATE, "reference", [0, far, 0.3], SKATE.v0, **given)
-        np.testing.assert_allclose(run.v, near.v, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(run.q[:, 0], near.q[:, 0], rtol=0, atol=1e-9)
-    slow = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - (x / 100000) ** 2 / 2, [])
-    run = dal.integrate(
-        slow, "reference", [1, 0], [0, 30], **given | {"h": 1e6, "t_end": 1e6}
-    )  # y gets large on the way
-    assert abs(run.q[-1, 0] - np.cos(10)) < 1e-9
-    with pytest.raises(dal.DomainError, match=r"numbers up to 1e\+31; expected at most 1e\+30"):
-        dal.integrate(SKATE, "reference", [0, 1e31, 0.3], SKATE.v0, **given)
+def test_threads_and_pickles():
+    def work(system):
+        return dal.integrate(system, t_end=20).x
+
+    system = skate()
+    with ThreadPoolExecutor(4) as pool:
+        one, *others = pool.map(work, [system] * 4)
+    assert all((one == other).all() for other in others)
+    scheme = dal.Scheme.taylor(1e-12)
+    assert pickle.loads(pickle.dumps(scheme)) == scheme and scheme.tolerance == 1e-12
+    run = dal.integrate(system, scheme, h=0.5, t_end=5)
+    assert run.scheme == scheme and np.isnan(run.reactions).all()
 
 
-def test_accuracy_of_the_state():
-    """What is estimated bounds the difference to the state to 30 digits."""
+def test_ensemble():
+    speeds = np.linspace(0.5, 1.5, 5)
+    v0 = np.outer(speeds, skate().v0)
+    many = dal.ensemble(skate(), "taylor", v0=v0, q0=np.tile(skate().q0, (5, 1)), h=0.5, t_end=5)
+    for k in range(5):
+        run = dal.integrate(skate(), "taylor", skate().q0, v0[k], h=0.5, t_end=5)
+        np.testing.assert_array_equal(np.r_[many.q[k], many.v[k]], run.x[-1])
+
+
+def test_parameters_are_those_of_the_system():
+    """One compilation serves all values; another run with the first ones is the same to the bit."""
+    system = dal.systems.sleigh_with_rotor()
+    name, value = next(iter(system.parameters.items()))
+    other = system.with_parameters(**{name: 1.5 * value})
+    runs = [dal.integrate(s, "taylor", h=0.5, t_end=5) for s in (system, other, system)]
+    expected = dal.integrate(other, "reference", h=0.5, t_end=5)
+    np.testing.assert_allclose(runs[1].x, expected.x, rtol=0, atol=1e-11)
+    assert abs(runs[1].x - runs[0].x).max() > 1e-3
+    np.testing.assert_array_equal(runs[2].x, runs[0].x)
+
+
+def test_state_at_one_time():
+    """dal.reference with method="taylor", and its accuracy, against the state to 30 digits."""
     known = dal.systems.known_states("cvt")[-1]
     for tolerance in (1e-6, 1e-15):
         found = dal.reference(dal.systems.cvt(), t=known.t, method="taylor", tolerance=tolerance)
@@ -147,155 +319,119 @@ def test_accuracy_of_the_state():
                     abs(found.v - [*map(float, known.v)]).max())  # fmt: skip
         assert error <= 3 * found.accuracy + 1e-15
         assert found.accuracy < 1e3 * tolerance + 1e-13
-
-
-def test_long_runs_stay_in_D():
-    """The rows go on from their projection: what is not in D would grow with time."""
-    racer, given = dal.systems.roller_racer(), {"h": 1, "t_end": 500, "stride": 10}
-    run = dal.integrate(racer, "reference", **given, method="taylor")
-    assert run.residual.max() <= 4 * racer.n * 2.0**-53
-    other = dal.integrate(racer, "reference", **given)
-    np.testing.assert_allclose(run.x, other.x, rtol=0, atol=1e-7 * abs(other.x).max())
-
-
-def test_parameters_and_units_are_those_of_the_system():
-    """One compilation serves all values; another run with the first ones is the same to the bit."""
-    system = dal.systems.sleigh_with_rotor()
-    name, value = next(iter(system.parameters.items()))
-    other = system.with_parameters(**{name: 1.5 * value})
-    runs = [
-        dal.integrate(s, "reference", h=0.5, t_end=5, method="taylor") for s in
-        (system, other, system)
-    ]  # fmt: skip
-    expected = dal.integrate(other, "reference", h=0.5, t_end=5)
-    np.testing.assert_allclose(runs[1].x, expected.x, rtol=0, atol=1e-11)
-    assert abs(runs[1].x - runs[0].x).max() > 1e-3
-    np.testing.assert_array_equal(runs[2].x, runs[0].x)
-
-
-def test_threads():
-    def work(system):
-        return dal.integrate(system, "reference", h=0.1, t_end=20, method="taylor").x
-
-    with ThreadPoolExecutor(4) as pool:
-        one, *others = pool.map(work, [dal.systems.cvt()] * 4)
-    assert all((one == x).all() for x in others)
-
-
-def test_times_and_observers():
-    system, times = dal.systems.cvt(), [0, 0.5, 0.5, 1.234, 2]
-    run = dal.integrate(system, "reference", h=0.1, t_end=2, t_eval=times, method="taylor")
-    other = dal.integrate(system, "reference", h=0.1, t_end=2, t_eval=times)
-    assert (run.t == other.t).all() and run.stats.steps == 20
-    np.testing.assert_allclose(run.x, other.x, rtol=0, atol=1e-13)
-    seen = {}
-    for method in "taylor", "rk8pd":
-        seen[method] = []
-
-        def look(step, t, q, v, seen=seen[method]):
-            seen.append((step, t))
-            return step >= 6
-
-        run = dal.integrate(
-            system, "reference", h=0.1, t_end=2, stride=2, method=method, observer=look
-        )
-        assert run.status == 1 and run.stats.steps == 6 and len(run.t) == 4
-        assert run.message.startswith("an observer stopped the run at t = 0.6")
-    assert seen["taylor"] == seen["rk8pd"]
-    with pytest.raises(ZeroDivisionError) as caught:
-        dal.integrate(system, "reference", h=0.1, t_end=2, method="taylor",
-                      observer=lambda k, t, q, v: k == 5 and 1 / 0)  # fmt: skip
-    assert len(caught.value.partial.t) == 6
-
-
-def test_scheme_of_its_own():
-    scheme = dal.Scheme.flow("taylor", 1e-12)
-    assert pickle.loads(pickle.dumps(scheme)) == scheme
-    run = dal.integrate(dal.systems.cvt(), scheme, h=0.1, t_end=1)
-    assert run.scheme == scheme and run.nodes == "moved" and np.isnan(run.reactions).all()
-    near = dal.reference(dal.systems.cvt(), t=0.55)
-    np.testing.assert_allclose(run(0.55).q, near.q, rtol=0, atol=1e-6)
-    assert len(dal.integrate(dal.systems.cvt(), scheme, h=0.1, steps=0).t) == 1
-
-
-@pytest.mark.parametrize(
-    "system, q0, v0, kind, words",
-    [
-        (bent_root(sp.Rational(1, 2)), [1, 0], [-1, 0], dal.DomainError, "no Taylor series"),
-        (
-            bent_root(sp.Rational(5, 2)), [1, 0], [-2, 0],
-            dal.DomainError, "the motion ends between t = .* gradient",
-        ),
-        (bent_root(-1), [-1, 0], [1, 0], dal.DomainError, "not finite beyond t = 0.57079632"),
-        (
-            dal.System.from_sympy((x.d**2 + y.d**2) / 2, [], force={x: -1 / x}),
-            [1, 0], [0, 1], dal.ConvergenceError, "collapsed to h",
-        ),
-        (
-            dal.System.from_sympy((x.d**2 + y.d**2) / 2 - sp.atan2(y, x) ** 2, []),
-            [-1, 0.1], [0, -2], dal.DomainError, "no Taylor series",
-        ),
-    ],
-)  # fmt: skip
-def test_where_series_end(system, q0, v0, kind, words):
-    """They go on behind a point where a root is 0, and what they say there is wrong."""
-    with pytest.raises(kind, match=words) as caught:
-        dal.integrate(system, "reference", q0, v0, h=0.05, t_end=9, method="taylor")
-    error, partial = caught.value, caught.value.partial
-    assert error.t == partial.t[-1] and error.step == len(partial.t) - 1 and not partial.success
-    whole = dal.integrate(system, "reference", q0, v0, h=0.05, t_end=error.t)
-    np.testing.assert_allclose(partial.x, whole.x, rtol=0, atol=1e-9)
-    run = dal.integrate(
-        system, "reference", q0, v0, h=0.05, t_end=9, method="taylor", throw=False
-    )
-    np.testing.assert_array_equal(run.x, partial.x)
-    with pytest.raises(kind, match=words):
-        dal.reference(system, q0, v0, t=9, method="taylor")
-
-
-def test_what_has_no_series():
-    system = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - sp.Abs(x), [])
-    with pytest.raises(ValueError, match=r"taylor.*sign\(x\).*no Taylor series"):
-        dal.reference(system, [1, 0], [0, 0], method="taylor")
-
-
-def test_what_it_does_not_take():
-    cvt, given = dal.systems.cvt(), {"h": 0.1, "t_end": 1, "method": "taylor"}
-    with pytest.raises(ValueError, match="'sleigh' has no expressions"):
-        dal.integrate(dal.systems.sleigh(), "reference", **given)
-    with pytest.raises(ValueError, match="'sleigh' has no expressions"):
-        dal.reference(dal.systems.sleigh(), method="taylor")
-    for name, value in {
-        "events": [lambda t, q, v: q[0]], "inputs": np.zeros((10, 1)), "journal": "run.dal",
-    }.items():  # fmt: skip
-        words = rf"^{name} = [^~]*: not used with method = 'taylor'"
-        with pytest.raises(ValueError, match=words):
-            dal.integrate(cvt, "reference", **given, **{name: value})
-    with pytest.raises(ValueError, match="observer and t_eval are both given: expected one"):
-        dal.integrate(cvt, "reference", **given, t_eval=[1], observer=lambda *_: None)
+    start = dal.reference(skate(), t=0, method="taylor")
+    assert (start.q == skate().q0).all()
     with pytest.raises(NotImplementedError, match="coordinates: not supported by"):
-        dal.reference(cvt, method="taylor", coordinates="xi")
-    with pytest.raises(dal.NotOnConstraintError):
-        dal.integrate(cvt, "reference", [0, 0, 0], [1, 1, 1], **given)
-    for make in (
-        lambda: dal.Stepper(cvt, dal.Scheme.flow("taylor"), h=0.1),
-        lambda: dal.ensemble(cvt, "reference", **given),
-    ):
-        with pytest.raises(NotImplementedError, match="only in integrate and reference"):
-            make()
+        dal.reference(skate(), method="taylor", coordinates="xi")
 
 
-def test_without_heyoka(monkeypatch):
-    monkeypatch.setitem(sys.modules, "heyoka", None)
-    with pytest.raises(ImportError, match="method='taylor' needs heyoka: pip install heyoka$"):
-        dal.reference(dal.systems.cvt(), method="taylor", tolerance=1.25e-13)
+# ---- walls and ends ------------------------------------------------------------------------------
+
+
+def fall(s, height=1.0):
+    """Return x at s in the potential |x|, from rest at a height: parabolas from turn to turn."""
+    quarter = np.sqrt(2 * height)
+    s = s % (4 * quarter)
+    if s > 3 * quarter:
+        return height - (s - 4 * quarter) ** 2 / 2
+    return height - s**2 / 2 if s < quarter else (s - 2 * quarter) ** 2 / 2 - height
+
+
+@pytest.mark.parametrize("v0, before", [(0.0, 0.0), (np.sqrt(2), 3 * np.sqrt(2))])
+def test_a_kink(v0, before):
+    """A step ends at the kink, to a rounding, and the next one has the other branch."""
+    system = free(sp.Abs(x))
+    for t_end in (50, -50):
+        run = dal.integrate(system, q0=[fall(before), 0], v0=[v0, 1], t_end=t_end)
+        expected = [fall(before + s) for s in run.t]
+        np.testing.assert_allclose(run.q[:, 0], expected, rtol=0, atol=1e-13)
+        assert len(run.t) < 60
+    rest = dal.integrate(system, q0=[0, 0], v0=[0, 1], t_end=5)
+    assert (rest.q[:, 0] == 0).all()
+
+
+@pytest.mark.parametrize("exponent", [1, 2, 3, sp.Rational(3, 2), sp.Rational(5, 2)])
+def test_a_contact(exponent):
+    """A ball that bounces from a spring, whose force has a jump, a kink or a root."""
+    system = free(x + 100 * sp.Max(0, -x) ** exponent)
+    run = dal.integrate(system, q0=[1, 0], v0=[0, 1], t_end=20)
+    assert abs(run.energy - run.energy[0]).max() < 1e-12
+    down = run.t[(abs(run.q[:, 0]) < 1e-12) & (run.v[:, 0] < 0)]
+    down = down[np.r_[True, np.diff(down) > 0.1]]
+    assert len(down) > 3
+    np.testing.assert_allclose(np.diff(down), down[1] - down[0], rtol=1e-10)
+    inside = dal.integrate(system, q0=[1, 0], v0=[0, 1], t_end=2, t_eval=[down[0] + 0.01])
+    assert inside.q[0, 0] < -0.005
+
+
+def test_pieces():
+    V = sp.Piecewise((x**2, x < 1), (2 * x - 1, (x >= 1) & (x < 2)), (x**2 / 2 + 1, True))
+    run = dal.integrate(free(V), q0=[-2.2, 0], v0=[0, 1], t_end=30)
+    assert abs(run.energy - run.energy[0]).max() < 3e-14
+    assert run.q[:, 0].max() > 2
+
+
+def test_the_sign_of_a_speed():
+    """Coulomb's law brakes right until the speed is 0; then no step leads on."""
+    system = free(0, force={x: -sp.sign(x.d)})
+    with pytest.raises(dal.ConvergenceError, match="either side of the jump leads back") as caught:
+        dal.integrate(system, q0=[1, 0], v0=[1, 1], t_end=20)
+    assert abs(caught.value.t - 1) < 1e-15
+    np.testing.assert_allclose(caught.value.partial.q[-1], [1.5, 1], rtol=0, atol=1e-15)
+
+
+ENDS = {
+    "a root": (free(sp.sqrt(x)), [1, 0], [-1, 0]),
+    "a pole": (free(1 / x), [-1, 0], [1, 0]),
+    "the force of a logarithm": (free(0, force={x: -1 / x}), [1, 0], [0, 1]),
+    "the root of a square": (free(sp.sqrt((x - 1) ** 2 * (1 + y**2))), [3, 0], [-1, 0.5]),
+}
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_where_series_end(name):
+    """At such a point a run stops with its time, or goes on right."""
+    system, q0, v0 = ENDS[name]
+    run = dal.integrate(system, q0=q0, v0=v0, t_end=9, throw=False)
+    if not run.success:
+        assert "collapsed" in run.message and len(run.t) > 3
+        h = run.t[-1] / 64
+        other = dal.integrate(system, "reference", q0, v0, h=h, steps=63, tolerance=1e-13)
+        there = dal.integrate(system, "taylor", q0, v0, h=h, steps=63)
+        np.testing.assert_allclose(there.x, other.x, rtol=0, atol=1e-9)
+    else:
+        assert abs(run.energy - run.energy[0]).max() < 1e-12
+
+
+def test_coefficients_that_are_zero_by_chance():
+    """At t = 0 all coefficients of t^30 that a series has are zero."""
+    run = dal.integrate(free(0, force={x: t**30}), q0=[0, 0], v0=[0, 1], t_end=2)
+    assert abs(run.v[-1, 0] / (2.0**31 / 31) - 1) < 1e-13
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e30])
+def test_units(scale):
+    """The unit of time does not matter, nor do those of the coordinates."""
+    system = free(x**2 / 2 * sp.Float(scale) ** -2 + y**2 * sp.Float(scale) ** -2)
+    run = dal.integrate(system, q0=[1, 1e-20], v0=[0, 0], t_end=100 * scale)
+    assert abs(run.q[-1, 0] - np.cos(100)) < 1e-13 and len(run.t) < 100
+    assert abs(run.q[-1, 1] / 1e-20 - np.cos(100 * np.sqrt(2))) < 3e-13
+
+
+def test_rest():
+    """Rest, a straight line, and a start from rest."""
+    for V, v in ((0, 0.0), (0, 1.0), (x, 0.0)):
+        run = dal.integrate(free(V), q0=[1, 2], v0=[0, v], t_end=1000)
+        expected = [1 - (500000 if V == x else 0), 2 + 1000 * v]
+        np.testing.assert_allclose(run.q[-1], expected, rtol=1e-15)
 
 
 @pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c():
-    cvt = dal.systems.cvt()
-    dal.reference(cvt, t=1, method="taylor")  # compiled now
-    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt) as caught:
-        dal.integrate(cvt, "reference", h=1e6, t_end=1e9, method="taylor")
-    assert not caught.value.partial.success
+    system = skate()
+    dal.integrate(system, t_end=1)
+    for given in ({"h": 1e8, "t_end": 1e9}, {"t_end": 1e9, "stride": 1000}):
+        threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt) as caught:
+            dal.integrate(system, "taylor", **given)
+        assert not caught.value.partial.success
