@@ -127,18 +127,18 @@ DAL_LU_INLINE void dal_series_sum(size_t width, size_t order, double s, const do
 
 typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
 
-DAL_LU_INLINE dal_four dal_series_size(dal_four x)
+/* *most <- the larger of it and factor |x|; *size <- |x|.  Vectors that functions return would
+ * depend on the set of instructions. */
+DAL_LU_INLINE void dal_series_look(const dal_four *x, const dal_four *factor, dal_four *size,
+                                   dal_four *most)
 {
-    return (dal_four)((dal_four_bits)x & 0x7fffffffffffffffLL);
+    *size = (dal_four)((dal_four_bits)*x & 0x7fffffffffffffffLL);
+    const dal_four one = *size * *factor;
+    const dal_four_bits is_larger = one > *most;
+    *most = (dal_four)(((dal_four_bits)one & is_larger) | ((dal_four_bits)*most & ~is_larger));
 }
 
-DAL_LU_INLINE dal_four dal_series_larger(dal_four a, dal_four b)
-{
-    const dal_four_bits is_larger = a > b;
-    return (dal_four)(((dal_four_bits)a & is_larger) | ((dal_four_bits)b & ~is_larger));
-}
-
-/* The same where a state has no coefficients of orders 1 to 3. */
+/* dal_series_decay where a state has no coefficients of orders 1 to 3. */
 DAL_LU_RARE void dal_series_decay_of_any(size_t width, size_t order, const double *Y,
                                          double *decay)
 {
@@ -162,14 +162,14 @@ DAL_LU_INLINE void dal_series_decay(size_t width, size_t order, const double *Y,
     dal_four most[DAL_SERIES_LAST] = {{0.0}}, sum = {0.0};
     dal_four_bits lost = {0};
     for (size_t c = 0; c < vectors; c++) {
-        dal_four size = dal_series_size(all[vectors + c]);
-        size = dal_series_larger(size, dal_series_size(all[2 * vectors + c]));
-        size = dal_series_larger(size, dal_series_size(all[3 * vectors + c]));
+        const dal_four unit = {1.0, 1.0, 1.0, 1.0};
+        dal_four size = {0.0}, one;
+        for (size_t k = 1; k <= 3; k++)
+            dal_series_look(&all[k * vectors + c], &unit, &one, &size);
         const dal_four per = (dal_four)((dal_four_bits)(1.0 / size) & (size != 0.0));
 #pragma GCC unroll 4
         for (size_t l = 0; l < DAL_SERIES_LAST; l++) {
-            const dal_four one = dal_series_size(last[l * vectors + c]);
-            most[l] = dal_series_larger(one * per, most[l]);
+            dal_series_look(&last[l * vectors + c], &per, &one, &most[l]);
             lost |= (size == 0.0) & (one != 0.0);
             sum += one;
         }
