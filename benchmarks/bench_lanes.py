@@ -22,7 +22,7 @@ from sympy import cos, sin
 
 import dalembert as dal
 from dalembert.core import ffi, lib
-from dalembert.ensembles import lanes
+from dalembert.system import twins
 
 H, STEPS, REPETITIONS, MOST = 0.01, 500, 60, 16
 
@@ -85,9 +85,9 @@ def measured(system: dal.System, scheme: str) -> dict[int, float]:
 
 def from_formulas(name: str) -> dal.System:
     """Return a system of the library, compiled from its formulas."""
-    twin = lanes.twin(getattr(dal.systems, name)())
+    twin = twins.twin(getattr(dal.systems, name)(), "lanes")
     assert twin is not None
-    return type(twin)._of(dataclasses.replace(twin._source, lanes=False))
+    return type(twin)._of(dataclasses.replace(twin._source, part=""))
 
 
 def main() -> int:

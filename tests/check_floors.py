@@ -21,6 +21,7 @@ from check_symbols import declared, read
 STEP_HEADERS = {
     "deformation": "system", "lu": "algebra", "rows": "algebra", "residual": "algebra",
     "field": "system", "kernel": "step", "lanes": "step", "family": "step",
+    "series": "step",
 }  # fmt: skip
 
 

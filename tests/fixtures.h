@@ -206,6 +206,9 @@ static inline dal_flow *open_flow(const dal_system *system, dal_flow_method meth
         dal_flow_new(&object, system, method, coordinates, tolerance, &error));
 }
 
+/* How many of the named schemes need no series: all but the last one, "taylor". */
+static inline size_t schemes_for_callbacks(void) { return dal_scheme_count() - 1; }
+
 static inline dal_scheme find_scheme(const char *name)
 {
     dal_scheme scheme = {0};

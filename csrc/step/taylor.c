@@ -1,8 +1,8 @@
 /* The family taylor: the flow of the ODE on D by Taylor series that are compiled for the system.
  *
  * A piece is the polynomial of one series, and may be longer or shorter than the steps of a run,
- * whose states it gives.  The numbers y of series.h are compensated sums, so their roundoff does not
- * add up; pieces begin and end at times that are doubles. */
+ * whose states it gives.  The numbers y of series.h are compensated sums, so their roundoff does
+ * not add up.  Pieces begin and end at times that are doubles. */
 #include "dalembert/series.h"
 #include "geometry/geometry.h"
 #include "step/scheme.h"
@@ -100,8 +100,8 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     int status = dal__scheme_check_plain(motion->scheme, "taylor", error);
     if (status) return status;
     if (!(tolerance >= 2.0 * DBL_EPSILON && tolerance <= 0.1))
-        return dal__fail(error, DAL_EINVAL, "tolerance = %g: expected a number from %.2g to 0.1, or "
-                         "0 for %g", tolerance, 2.0 * DBL_EPSILON, TOLERANCE);
+        return dal__fail(error, DAL_EINVAL, "tolerance = %g: expected a number from %.2g to 0.1, "
+                         "or 0 for %g", tolerance, 2.0 * DBL_EPSILON, TOLERANCE);
     if (!series)
         return dal__fail(error, DAL_EUNSUPPORTED, "the system \"%s\" has no Taylor series, which "
                          "come from its expressions; choose the scheme \"reference\"", def->name);
@@ -178,8 +178,8 @@ static void state_at(taylor *self, double s, double *y, double *low)
 static void expand(taylor *self, const dal_motion *motion, double t, const double *y,
                    const double *low, size_t order, double *coefficients)
 {
-    const dal_series_at at = {.t = t, .exact = self->exact, .unit = self->unit, .y = y, .low = low, .u = self->input,
-                              .side = self->side,
+    const dal_series_at at = {.t = t, .unit = self->unit, .exact = self->exact, .y = y,
+                              .low = low, .u = self->input, .side = self->side,
                               .crossed = t == self->t ? self->crossed : self->none};
     self->series->expand(&at, order, coefficients, self->work, motion->system->def.ctx);
     motion->stats->evaluations++;
@@ -210,9 +210,9 @@ static double quick_exp2(double x)
     return power * (1.0 + part * (0.6565 + part * 0.3435));
 }
 
-/* How long the piece may be, in units: that part of the radius of convergence of which the power
- * order - 1 is the tolerance.  Each of the last coefficients tells a radius, the least of which holds; infinite if its last coefficients are 0, and NaN if one is
- * not finite. */
+/* How long the piece may be, in units.  Each of the last coefficients tells a radius of
+ * convergence, the least of which holds; a step is that part of it of which the power order - 1 is
+ * the tolerance.  Infinite if the last coefficients are 0, and NaN if one is not finite. */
 static double allowed_units(const taylor *self)
 {
     double decay[DAL_SERIES_LAST], least = HUGE_VAL;
@@ -405,8 +405,8 @@ static double until_switch(taylor *self, double direction, double units)
     return units;
 }
 
-/* The switch that is at most some roundings of t ahead, if no step is short enough to lead there: as
- * near the end of a root. */
+/* The switch that is at most some roundings of t ahead, if no step is short enough to lead there,
+ * as near the end of a root. */
 static size_t switch_at_hand(const taylor *self, double direction)
 {
     const double most = 16.0 * fabs(nextafter(self->t, HUGE_VAL) - self->t) / self->unit;

@@ -51,8 +51,8 @@ typedef struct dal_family {
     /* Takes a number of steps from x at time t0 + (motion->steps - first) h; *done <- the number of
      * successful steps.  On failure x and impulse are those after the last successful step. */
     int (*advance)(void *method, dal_motion *motion, size_t steps, size_t *done);
-    /* *end <- the time at which the next step ends if the family chooses its size, in a run to until.
-     * NULL: it has no steps of its own. */
+    /* *end <- the time at which the next step ends if the family chooses its size, in a run to
+     * until.  NULL: it has no steps of its own. */
     int (*own_end)(void *method, dal_motion *motion, double until, double *end);
     /* Save and restore all data besides x that determine the next step.  The function save returns
      * their number, also if values is NULL, or DAL_NOT_RESUMABLE. */

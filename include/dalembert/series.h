@@ -1,9 +1,9 @@
 /* series.h - Taylor series of motions, for generated code.
  *
  * The numbers y[states] are the coordinates q[n] and w[states - n], from which v = E(t, q) w + e(t,
- * q) follows.  Where D has such an E, w are n - m quasi-velocities, and v is in D for all w.
- * Otherwise w is v.  The coefficient Y_k of order k is that of s^k in y(t + s unit), so all of
- * them are of the same size if the unit is about the length of a step.
+ * q) follows.  If D has such an E, w are n - m quasi-velocities, and v is in D for all w. Otherwise
+ * w is v.  The coefficient Y_k of order k is that of s^k in y(t + s unit).  All of them are of the
+ * same size if the unit is about the length of a step.
  *
  * The coefficient of order k of each product, quotient and function is a convolution, sum_j A_j
  * B_(k-j).  Its middle part, j = 1 ... k-1, has lower orders only.  So the middle parts of all
@@ -22,10 +22,10 @@
 /* The highest order, and how many of the last coefficients determine the size of a step. */
 enum { DAL_SERIES_MOST = 40, DAL_SERIES_LAST = 4 };
 
-/* Where a series begins. */
+/* The beginning of a series. */
 typedef struct dal_series_at {
     double t;              /* the time */
-    double unit;           /* of the coefficients, a power of 2 */
+    double unit;           /* the unit of s, a power of 2 */
     size_t exact;          /* below this order coefficients are divided by k, which costs up to a
                               fourth of the time; from there on they are multiplied by the rounded
                               1/k.  For low orders that is a bias, by which the energy drifts */
@@ -42,7 +42,7 @@ typedef struct dal_series {
     size_t states;   /* of y */
     size_t switches; /* series that follow on those of y: until one of them changes its sign,
                         functions such as maxima have the branches of these sides */
-    size_t width;    /* of both together, a multiple of four */
+    size_t width;    /* numbers of a row: both together, to a multiple of four */
     size_t room;     /* numbers of workspace for each order */
     int in_D;        /* 1: v is in D for all y; 0: w is v */
     int is_branched; /* 1: a function has branch points, which a series can pass unnoticed */

@@ -570,7 +570,7 @@ int main(void)
     for (maker what = SYSTEM; what < MAKERS; what++)
         test_failing_gsl(what, what == FLOW_MSADAMS);
 
-    for (size_t i = 0; i < dal_scheme_count(); i += brief() ? 5 : 1) {
+    for (size_t i = 0; i + 1 < dal_scheme_count(); i += brief() ? 5 : 1) { /* not taylor */
         dal_scheme scheme;
         CHECK(dal_scheme_at(&scheme, i) == 0);
         const size_t steps = scheme.family ? STEPS / 10 : STEPS;
@@ -591,7 +591,7 @@ int main(void)
     for (size_t k = 0; k < 2; k++) {
         dal_system *general = NULL;
         CHECK(dal_system_builtin(&general, others[k], NULL, NULL, 0, NULL) == 0);
-        for (size_t i = 0; i < dal_scheme_count(); i++) {
+        for (size_t i = 0; i + 1 < dal_scheme_count(); i++) {
             dal_scheme scheme;
             CHECK(dal_scheme_at(&scheme, i) == 0);
             test_steps(general, &scheme, BY_LIBRARY, STEPS / 100);

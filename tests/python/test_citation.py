@@ -71,7 +71,7 @@ def test_lines_to_install_can_work():
         for name, text in texts.items() if name.startswith("python/")
         for found in re.findall(r'require\("([\w.]+)"', text)
     }  # fmt: skip
-    assert {"PIL", "heyoka", "sympy"} <= modules
+    assert {"PIL", "sympy"} <= modules
     provided = importlib.metadata.packages_distributions()
     for module in modules - {"nowhere"}:
         with pytest.MonkeyPatch.context() as patch:

@@ -403,7 +403,7 @@ system = dal.System(mass=[1, 1, 1], force=fails, q0=[0, 1, 0], v0=[1, 1, 1])
     ("arguments", "text"),
     [
         (["run", "sleigh", "--h", "0.1"], "one of the arguments --t-end --steps is required"),
-        (["run", "sleigh", "--steps", "3"], "the following arguments are required: --h"),
+        (["run", "sleigh", "--steps", "3"], "--steps 3: not used with --h own; give --t-end"),
         (["run", "sleigh", "--h", "0.1", "--steps", "3", *["--parameter", "a=1"] * 2],
          "--parameter a is given more than once"),
         (["run", "sleigh", "--dt", "0.1"], "unknown option --dt; did you mean '--h'?\nsee `dal"),

@@ -23,7 +23,7 @@ from ..run.options import in_c
 from ..run.runs import OFF_D
 from ..run.steps import Steps, how
 from ..system import Expressions, System
-from . import lanes
+from ..system.twins import twin
 from .spec import MEASURES, TAKEN, EnsembleSpec, Output, Common
 
 # What is kept of a `Statistics`, with what to say of it.
@@ -121,7 +121,7 @@ def empty(common: Common, rows: int, count: int) -> Block:
 
 
 def _by_c(common: Common, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
-    other = lanes.twin(common.system) if common.lanes else None
+    other = twin(common.system, "lanes") if common.lanes else None
     if other is None:
         return _in_one_call(common, rows, count, watch)
     if isinstance(common.system._source, Expressions):
@@ -156,7 +156,7 @@ def without_lanes(common: Common, has_inputs: bool) -> str:
         return "inputs are functions, or enter constraints"
     if has_inputs and hold < least:
         return f"inputs last {hold} steps (hold), and lanes need at least {least}"
-    if lanes.twin(common.system) is None:
+    if twin(common.system, "lanes") is None:
         return (
             f"the system {common.system.name!r} needs formulas and at most 8 coordinates"
         )
@@ -168,10 +168,10 @@ def _in_one_call(common: Common, rows: Mapping[str, Array], count: int, watch: S
     made = empty(common, common.rows(rows["steps"]), count)
     members, alive = _members(common, rows, count, made)
     record, record_kept = common.scheme._record_of(system)
-    options = in_c(common.options.of_c)
+    handle, options = common.scheme._stepped(system)._handle, in_c(common.options.of_c)
     error, context = ffi.new("dal_error *"), ffi.new_handle(watch)
     status = core.attempt(
-        lib.dal_ensemble_run, system._handle, record, options, members, 0, count,
+        lib.dal_ensemble_run, handle, record, options, members, 0, count,
         lib.dal_py_watch, context, error,
     )  # fmt: skip
     if status != lib.DAL_SUCCESS and not isinstance(raised.exception, Stopped):

@@ -155,9 +155,9 @@ class _Members(Options):
 class EnsembleOptions(Events, Inputs, Sampling, Step, Extent, Size, _Members):
     """The options of `ensemble`."""
 
-    h: ArrayLike | str = field(metadata=extended(  # type: ignore[assignment]
+    h: ArrayLike | str | None = field(default=None, metadata=extended(
         Size, "h", "The step size of each member, or one word for all members.",
-        type='array_like, shape (...), "auto" or "reversible"'))
+        type='array_like, shape (...), "auto", "reversible" or "own"'))
     stride: int | None = field(default=None, metadata=extended(
         Sampling, "stride",
         "Results have a row for each stored state.  Not allowed if only the end is kept."))

@@ -35,10 +35,8 @@ def fill(run: Any, times: Array, x: Array) -> None:
             "expected times of stored states"
         )
     record, kept = run.scheme._record_of(run.system)
-    stepper = core.make(
-        "stepper", run.system._handle, record, in_c(run.control),
-        owner=(run.system._handle, kept),
-    )  # fmt: skip
+    handle = run.scheme._stepped(run.system)._handle
+    stepper = core.make("stepper", handle, record, in_c(run.control), owner=(handle, kept))
     changes = _changes(run, known)
     rows = dict(zip(run.t.tolist(), run.x))  # which come back as they are
     for k, place in enumerate(places):

@@ -187,10 +187,10 @@ def resume(*args: Any, **given: Any) -> Solution:
             f"inputs is missing: the run of {journal.path} has inputs, so pass the same"
         )
     c_record, kept = record._record_of(system)
+    handle = record._stepped(system)._handle
     stepper = core.make(
-        "stepper", system._handle, c_record, in_c({**about, **sizes.control}),
-        owner=(system._handle, kept),
-    )  # fmt: skip
+        "stepper", handle, c_record, in_c({**about, **sizes.control}), owner=(handle, kept)
+    )
     times, hold = journal.times(), about["hold"]
     watched = read.events or times is not None
     watch = Watch(system, stepper, record, read.events, times) if watched else None

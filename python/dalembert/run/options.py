@@ -159,8 +159,8 @@ class Options(RunRecord):
         A scheme, its name, or beta.  "taylor" is the flow of the ODE on D by Taylor series, for
         systems from expressions; "reference" is the same by an adaptive method.  They are the best
         choice for accurate runs, and the default without h.  Otherwise the default is the cheapest
-        scheme of order 2.  It is "midpoint" if the mass matrix depends on q, the constraints are affine or
-        nonlinear, or a force depends on v; otherwise "leapfrog".  With ``h="auto"`` it is
+        scheme of order 2.  It is "midpoint" if the mass matrix depends on q, the constraints are
+        affine or nonlinear, or a force depends on v; otherwise "leapfrog".  With ``h="auto"`` it is
         "midpoint-kl8" or "leapfrog-kl8", with ``h="reversible"`` "bm6".
     """, parse=str, metavar="NAME")  # fmt: skip
     q0: ArrayLike | None = option("array_like", parse=list, metavar="X,Y,...")
@@ -178,7 +178,9 @@ class Options(RunRecord):
         word, named = word_of(given.h), given.scheme is not None
         scheme = Scheme.of(given.scheme) if named else Scheme.usual(given.system, word)
         kind = kind_of(scheme, word)
-        found: dict[str, Any] = {"scheme": scheme} | ({"h": word} if given.h is None else {})
+        found: dict[str, Any] = {"scheme": scheme}
+        if given.h is None:
+            found["h"] = word
         if kind == "auto":
             tolerance = TOLERANCE if given.tolerance is None else given.tolerance
             found["tolerance"] = _positive(tolerance, "tolerance")

@@ -67,8 +67,8 @@ def started_stepper(
         stepper = (idle or []).pop()
     except IndexError:
         record, kept = scheme._record_of(system)
-        owner = system._handle, kept
-        stepper = core.make("stepper", system._handle, record, options, owner=owner)
+        handle = scheme._stepped(system)._handle
+        stepper = core.make("stepper", handle, record, options, owner=(handle, kept))
     raised.exception = None
     if inputs is not None:
         lib.dal_stepper_input(stepper, core.pointer(inputs))

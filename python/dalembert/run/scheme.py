@@ -8,10 +8,11 @@ import os
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from .. import core
+from .. import compiler, core
 from ..core import arguments, ffi, lib, require_system
 from ..discrete import DifferenceMap
 from ..system import System
+from ..system.twins import twin
 
 METHODS = {
     "rk8pd": lib.DAL_FLOW_RK8PD,
@@ -281,11 +282,12 @@ class Scheme:
         For a number it is the scheme of order 2 with the cheapest steps.  It is "midpoint" if the
         mass matrix depends on q, the constraints are affine or nonlinear, or a force depends on v.
         Otherwise it is "leapfrog", which then solves its two sub-steps at once.  For "auto" it is
-        the composition of order 8 of that scheme, for "reversible" "bm6", and for "own" "taylor",
-        or "reference" if the system has no Taylor series.
+        the composition of order 8 of that scheme, and for "reversible" "bm6".  For "own" it is
+        "taylor", or "reference" if the system has no Taylor series.
         """
         if word == "own":
-            return cls.find("taylor" if lib.dal_system_has_series(system._handle) else "reference")
+            has_series = system._model is not None and compiler.find() is not None
+            return cls.find("taylor" if has_series else "reference")
         if word == "reversible":
             return cls.find("bm6")
         base = core.string(lib.dal_scheme_usual(system._handle))
@@ -338,6 +340,11 @@ class Scheme:
         record = ffi.new("dal_scheme *", self._record[0])
         record.data = data
         return record, (self, data, kept)
+
+    def _stepped(self, system: System) -> System:
+        """Return the system of the steps: for "taylor" the twin that has the series, if any."""
+        found = twin(system, "series") if self.family == "taylor" else None
+        return system if found is None else found
 
     def is_explicit(self, system: System) -> bool:
         """Return whether a step on this system is a sequence of linear solves."""

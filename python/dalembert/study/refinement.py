@@ -144,8 +144,9 @@ def _measure(
         context = ffi.new_handle(lambda made: show(int(made)))
         definition.watch, definition.watch_ctx = lib.dal_py_watch, context
         scheme, kept = record._record_of(system)
+        handle = record._stepped(system)._handle
         status = core.attempt(
-            lib.dal_order_study, system._handle, scheme, definition, points, order, error
+            lib.dal_order_study, handle, scheme, definition, points, order, error
         )
         del kept
         core.check(status, error, system.kind)

@@ -41,18 +41,19 @@ def _generator() -> str:
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 
 
-def library(model: Model, lanes: bool = False) -> Library | None:
+def library(model: Model, part: str = "") -> Library | None:
     """Return the compiled model; None if there is no compiler.
 
-    With ``lanes`` it is another library, whose steps can advance several members at once, if the
-    model has such steps.
+    The library for a part, see `codegen.program`, is another one.
     """
-    lanes = lanes and codegen.has_lanes(model)
+    if part == "lanes" and not codegen.has_lanes(model):
+        part = ""
 
     def program() -> str:
-        return codegen.program(model, lanes=lanes).source
+        return codegen.program(model, part=part).source
 
-    return compiler.library(model.key, f"sympy {sympy.__version__}, {_generator()}", program, lanes)
+    versions = f"sympy {sympy.__version__}, {_generator()} {part}"
+    return compiler.library(model.key, versions, program, part == "lanes")
 
 
 class Evaluation:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from .graph import CONDITIONS, Node, below
@@ -19,9 +21,9 @@ class Writer:
     ----------
     series : Series
     places : mapping of str to str
-        Where the values of symbols are, by name.
+        The text of the values of symbols, by name.
     low : mapping of str to str
-        Where their parts below the last digit are.
+        The text of their parts below the last digit.
     """
 
     def __init__(
@@ -55,7 +57,7 @@ class Writer:
         found.append("}")
         last = "d{0} * (unit / (double)order)"
         found += self._row("order", [last.format(i) for i in range(len(states))])
-        return found
+        return _used(found)
 
     def _row(self, order: str, coefficients: Sequence[str]) -> list[str]:
         """Return the assignment of coefficients of all columns, four at once."""
@@ -146,7 +148,8 @@ class Writer:
         switch, sign = self.series.sides[e]
         ahead = f"at->side[{switch}]" if (sign > 0) == (e.op == "max") else f"-at->side[{switch}]"
         one, other = map(self._part, e.args)
-        return f"at->crossed[{switch}] == 0.0 ? {self.zeroth(e)} : {ahead} < 0.0 ? {one} : {other}"
+        before = f"{ahead} < 0.0 ? {one} : {other}"
+        return f"at->crossed[{switch}] == 0.0 ? {self.zeroth(e)} : {before}"
 
     def zeroth(self, e: Node) -> str:
         """Return the name, or the text, of the coefficient of order 0."""
@@ -339,7 +342,33 @@ class Writer:
         if not M:
             before = f"f{self._number[e.args[0]]} * b{self._number[other]}"
             return f"{sign}dal_series_over({before}, exact, number, inverse)"
-        return (f"{sign}({k[0]} * {self._part(other)} + dal_series_over({M[0]}, exact, number, inverse))")
+        rest = f"dal_series_over({M[0]}, exact, number, inverse)"
+        return f"{sign}({k[0]} * {self._part(other)} + {rest})"
+
+
+_NAME = re.compile(r"[A-Za-z_]\w*")
+_ASSIGNED = re.compile(r" *(?:const )?(?:double |int |bool )?([a-z]\w*) = ")
+
+
+def _used(lines: list[str]) -> list[str]:
+    """Return the statements without variables that no other statement reads."""
+    assigned = [found[1] if (found := _ASSIGNED.match(line)) else None for line in lines]
+    names = [_NAME.findall(line) for line in lines]
+    reads = Counter(name for several in names for name in several)
+    reads.subtract(name for name in assigned if name)
+    of_name: dict[str, list[int]] = {}
+    for i, name in enumerate(assigned):
+        if name:
+            of_name.setdefault(name, []).append(i)
+    left, gone = [name for name in of_name if reads[name] == 0], set[int]()
+    while left:
+        for i in of_name[left.pop()]:
+            gone.add(i)
+            for name in names[i]:
+                reads[name] -= name != assigned[i]
+                if reads[name] == 0 and name != assigned[i] and name in of_name:
+                    left.append(name)
+    return [line for i, line in enumerate(lines) if i not in gone]
 
 
 def _fraction(e: Node) -> tuple[float, float] | None:
@@ -381,18 +410,21 @@ def expansion(made: Program, model: Model, motion: Motion) -> None:
     _values(made, "velocity", "t, y, u, v, p", motion.velocity, {"y": y, "u": u, "p": p}, time)
     x = {"x": [*q, *(read(s) for s in model.v)], "u": u, "p": p}
     _values(made, "quasi", "t, x, u, w, p", motion.quasi, x, time)
+    sizes = len(y), len(series.switches), width, 8 * vectors
+    flags = int(motion.in_D), int(series.is_branched)
     made.add(
         "static const dal_series model_series = {\n"
-        f"    DAL_SERIES_ABI, {len(y)}, {len(series.switches)}, {width}, {8 * vectors}, {int(motion.in_D)}, {int(series.is_branched)},\n"
-        "    model_expand, model_decay, model_sum, model_velocity, model_quasi};\n#endif\n"
+        f"    DAL_SERIES_ABI, {', '.join(map(str, (*sizes, *flags)))},\n"
+        "    model_expand, model_decay, model_sum, model_velocity, model_quasi};\n"
+        "#define MODEL_SERIES &model_series\n#else\n#define MODEL_SERIES NULL\n#endif\n"
     )
 
 
 # A comparison of two numbers is one of the side of their difference with 0.
 _SIDES = {"<": "<", "<=": "<=", "==": "==", "!=": "!="}
 
-_EXPAND = """static void model_expand(const dal_series_at *at, size_t order, double *Y, double *work,
-                         const void *parameters)
+_EXPAND = """static void model_expand(const dal_series_at *at, size_t order, double *Y,
+                         double *work, const void *parameters)
 {"""
 
 _SUMS = """static void model_decay(size_t order, const double *Y, double *decay)
@@ -415,7 +447,8 @@ def _values(
     _, given, _, out, _ = arguments.split(", ")
     made.add(f"static void model_{name}(double t, const double *{given}, const double *u, "
              f"double *{out}, const void *parameters)\n{{")  # fmt: skip
-    made.add(f"    const double *const p = parameters;\n    (void)t, (void){given}, (void)u, (void)p;")
+    made.add("    const double *const p = parameters;")
+    made.add(f"    (void)t, (void){given}, (void)u, (void)p;")
     nodes = spelled(nodes)
     places = {x.value: f"{key}[{i}]" for key, x in arrays.items() for i, x in enumerate(x)}
     text = Text(nodes, C, places | {time.value: "t"})

@@ -3,17 +3,17 @@
 The coefficients of order k of each operation follow from those of its arguments up to order k, and
 of itself up to k-1.  See series.h for the convolutions.  With c for the result:
 
-    c = a b        c_k = sum a_j b_(k-j)
-    c = a / b      b_0 c_k = a_k - sum b_j c_(k-j), j >= 1
-    c^2 = a        2 c_0 c_k = a_k - sum c_j c_(k-j), 1 <= j < k
-    c = a^e        a_0 k c_k = sum (e j a_j c_(k-j)) - sum (j c_j a_(k-j))
-    c' = a' b      k c_k = sum j a_j b_(k-j), as for sin, exp, tan, erf, ...
-    c' b = a'      b_0 k c_k = k a_k - sum j c_j b_(k-j), as for log, asin, ...
+- c = a b.  c_k = sum a_j b_(k-j).
+- c = a / b.  b_0 c_k = a_k - sum b_j c_(k-j), j >= 1.
+- c^2 = a.  2 c_0 c_k = a_k - sum c_j c_(k-j), 1 <= j < k.
+- c = a^e.  a_0 k c_k = sum (e j a_j c_(k-j)) - sum (j c_j a_(k-j)).
+- c' = a' b, as for sin, exp, tan, erf.  k c_k = sum j a_j b_(k-j).
+- c' b = a', as for log, asin.  b_0 k c_k = k a_k - sum j c_j b_(k-j).
 
 A series has degree 0 or 1 if it is constant or linear in t, and takes no convolution then.
 
-A function with branches, such as a maximum, has the series of one of them until a switch changes
-its sign: the difference of its arguments.
+A function with branches, such as a maximum, has the series of one of them.  Another branch comes
+when a switch changes its sign, the difference of the arguments.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class Series:
                 self.pairs.setdefault(pair, len(self.pairs))
 
     def _complete(self) -> None:
-        """Find what the recurrences of functions need besides their arguments."""
+        """Find the series that functions need besides their arguments, and the switches."""
         changing = mask_of([*self.states, self.time])
         left = below([*self.states, *self.states.values()])
         while left:

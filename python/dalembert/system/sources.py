@@ -355,8 +355,8 @@ class BuiltIn(Source):
 class Expressions(Source):
     """A system of expressions: a model, and values of its parameters.
 
-    An invariant that is None is an expression of the model.  With ``lanes``, steps can advance
-    several members of an ensemble at once.
+    An invariant that is None is an expression of the model.  The ``part`` is that of
+    `codegen.program`: with "lanes", steps can advance several members of an ensemble at once.
     """
 
     model: Any
@@ -366,7 +366,7 @@ class Expressions(Source):
     exact: Function | None
     invariants: dict[str, Function | None]
     of_library: bool = False
-    lanes: bool = False
+    part: str = ""
 
     def named(self) -> dict[str, Function | None]:
         return {"exact": self.exact, **self.invariants}
@@ -379,7 +379,7 @@ class Expressions(Source):
         model, state, n = self.model, self.state, self.model.n
         given.require_assumed(model, self.values)
         numbers = evaluation.Evaluation(model, self.values)
-        library = evaluation.library(model, self.lanes)
+        library = evaluation.library(model, self.part)
         if model.state is not None:
             state = numbers.matrix(library, "state", (2 * n,))
         is_compact = library is not None and library.definition[0].sparsity != ffi.NULL

@@ -12,10 +12,10 @@ static const char *const names[] = {
     "leapfrog", "midpoint", "explicit", "endpoint", "leapfrog-mirror", "midpoint-nodes",
     "explicit-nodes", "endpoint-nodes", "leapfrog-suzuki4", "leapfrog-yoshida4", "leapfrog-kl6",
     "leapfrog-kl8", "leapfrog-ss10", "bm4", "bm6", "midpoint-suzuki4", "midpoint-yoshida4",
-    "midpoint-kl6", "midpoint-kl8", "midpoint-ss10", "reference",
+    "midpoint-kl6", "midpoint-kl8", "midpoint-ss10", "reference", "taylor",
 };
 /* The first of them are records of sub-steps. */
-enum { NAMES = sizeof names / sizeof names[0], RECORDS = NAMES - 1 };
+enum { NAMES = sizeof names / sizeof names[0], RECORDS = NAMES - 2 };
 
 static double fraction(const dal_scheme *s, size_t j) { return dal__scheme_substep(s, j).fraction; }
 static double beta(const dal_scheme *s, size_t j) { return dal__scheme_substep(s, j).beta; }
@@ -41,7 +41,7 @@ static void test_table(void)
     }
     CHECK(dal_scheme_at(&scheme, NAMES) == DAL_EINVAL && dal_scheme_at(NULL, 0) == DAL_EINVAL);
     CHECK(dal_scheme_at(&scheme, SIZE_MAX) == DAL_EINVAL);
-    CHECK(strcmp(scheme.family->name, "flow") == 0 && scheme.order == 0);
+    CHECK(strcmp(scheme.family->name, "taylor") == 0 && scheme.order == 0);
 }
 
 /* A symmetric record reads backwards as its adjoint: fractions mirrored, beta to 1 - beta.  Order p
@@ -141,7 +141,7 @@ static void test_names(void)
         char begin[41]; /* of what may be long */
         snprintf(begin, sizeof begin, "%s", wrong[i]);
         CHECK(strstr(error.text, begin) != NULL && strstr(error.text, "leapfrog") != NULL);
-        CHECK(strstr(error.text, "reference, a number in [0, 1], beta") != NULL);
+        CHECK(strstr(error.text, "reference, taylor, a number in [0, 1], beta") != NULL);
         CHECK(strstr(error.text, "pair:A:B with A and B in [0, 1]") != NULL);
         CHECK(error.status == DAL_EINVAL);
     }

@@ -72,13 +72,14 @@ static dal_system *open_numbered(size_t which)
 static const dal_flow_scheme rodas = {.method = DAL_FLOW_RODAS, .tolerance = 1e-6};
 static const char *const others[] = {"pair:0.25:0.5", "pair:0.5:0.5", "reference"};
 
-static size_t scheme_count(void) { return dal_scheme_count() + DAL_LENGTH(others); }
+static size_t scheme_count(void) { return schemes_for_callbacks() + DAL_LENGTH(others); }
 
 static dal_scheme numbered_scheme(size_t which)
 {
     dal_scheme scheme;
-    if (dal_scheme_at(&scheme, which) == DAL_SUCCESS) return scheme;
-    scheme = find_scheme(others[which - dal_scheme_count()]);
+    if (which < schemes_for_callbacks() && dal_scheme_at(&scheme, which) == DAL_SUCCESS)
+        return scheme;
+    scheme = find_scheme(others[which - schemes_for_callbacks()]);
     if (strcmp(scheme.name, "reference") == 0) scheme.data = &rodas;
     return scheme;
 }

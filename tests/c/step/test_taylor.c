@@ -247,7 +247,7 @@ static void test_refused(void)
     dal_system_free(of_old);
 }
 
-/* ---- the ball: y = (q, w, and the switch q), w' = -side ---------------------------------------- */
+/* ---- the ball: y = (q, w), and the switch q; w' = -side -------------------------------------- */
 
 static int height(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {

@@ -11,7 +11,8 @@ import sympy
 from scipy.integrate import solve_ivp
 
 import dalembert as dal
-from dalembert.ensembles import api, block, lanes
+from dalembert.ensembles import api, block
+from dalembert.system import twins
 from dalembert.symbolic import expressions
 
 U = 2.0**-53
@@ -92,7 +93,7 @@ def test_systems_of_the_library(tmp_path):
         plain = many(dal.systems.sleigh(), lanes=False, **given)
         there = many(dal.systems.sleigh(), **given)
         kept = many(dal.systems.sleigh(), store=tmp_path / "store", **given)
-    assert lanes.twin(dal.systems.sleigh()) is not None
+    assert twins.twin(dal.systems.sleigh(), "lanes") is not None
     assert there.lanes and "by leapfrog in lanes: 19 completed" in repr(there)
     good = there.success
     assert there.message(4) == plain.message(4) and good.sum() == 19
@@ -108,14 +109,14 @@ def test_systems_of_the_library(tmp_path):
 
 def test_formulas_that_do_not_say_the_same(monkeypatch):
     other = expressions.model(dal.systems.knife_edge())
-    monkeypatch.setattr(lanes, "expressions", SimpleNamespace(model=lambda system: other))
-    assert lanes.twin(dal.systems.sleigh()) is None
+    monkeypatch.setattr(twins, "expressions", SimpleNamespace(model=lambda system: other))
+    assert twins.twin(dal.systems.sleigh(), "lanes") is None
 
 
 def test_what_has_no_lanes():
     """It is made as without, to the bit, and the ensemble says so and why."""
     train = dal.systems.n_trailer(trailers=6)
-    assert lanes.twin(train) is None
+    assert twins.twin(train, "lanes") is None
     values = {"a": np.linspace(0.18, 0.22, 5)}
     given = {"h": 0.01, "steps": 20}
     for system, scheme, more, why in (

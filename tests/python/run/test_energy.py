@@ -7,7 +7,7 @@ import sympy as sp
 import dalembert as dal
 from dalembert import cli
 from dalembert.core import residual_bound
-from dalembert.ensembles import lanes
+from dalembert.system import twins
 
 x, y, z = dal.coordinates("x y z")
 MASSES = (x.d**2 + y.d**2 + z.d**2) / 2
@@ -155,7 +155,7 @@ def test_an_ensemble_has_the_bits_of_its_members(tmp_path, how):
 
 
 def test_an_ensemble_of_a_system_with_lanes_takes_none_of_them():
-    twin = lanes.twin(QUARTIC)
+    twin = twins.twin(QUARTIC, "lanes")
     given = {"h": 0.1, "steps": 100, "energy": "keep"}
     many = dal.ensemble(
         twin, q0=[QUARTIC.q0] * 8, v0=[QUARTIC.v0] * 8, lanes=True, progress=False, **given

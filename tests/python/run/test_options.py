@@ -41,7 +41,7 @@ def base(kind):
         "auto": {**plain, "scheme": "midpoint-kl8", "h": "auto"},
         "reversible": {**plain, "scheme": "midpoint-kl8", "h": "reversible"},
         "flow": {**plain, "scheme": "reference"},
-        "series": {**plain, "scheme": "reference", "method": "taylor"},
+        "own": {"scheme": "reference", "t_end": 0.4},
     }[kind]
 
 
@@ -82,13 +82,13 @@ def test_the_table_is_whole():
 
 
 @pytest.mark.parametrize("option", ALL)
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "series"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_each_option_has_an_effect_or_is_refused(kind, option, tmp_path):
     value, seen = values(option, tmp_path)
     plain, needed = base(kind), {}
     if option in ("inputs", "hold"):
         needed = {"inputs": [1.0] if option == "inputs" else [[3.0], [1.0], [2.0], [4.0]]}
-        if kind == "auto" and option == "hold":
+        if kind in ("auto", "own") and option == "hold":
             value = 0.1
     if option == "journal_errors":
         needed = {"journal": tmp_path / "beside.dal"}
@@ -132,13 +132,6 @@ def test_each_option_has_an_effect_or_is_refused(kind, option, tmp_path):
         assert made(system, with_it) != made(system, without)
 
 
-@pytest.mark.parametrize("option", [x for x in ALL if x not in KINDS["series"].options])
-def test_taylor_series_refuse_what_has_no_effect(option, tmp_path):
-    value, _ = values(option, tmp_path)
-    with pytest.raises(ValueError, match=rf"^{option} = .*: not used with method = 'taylor'"):
-        dal.integrate(hilly(), **base("series"), **{option: value})
-
-
 def test_an_option_beside_another():
     system, plain = hilly(), base("fixed")
     with pytest.raises(ValueError, match=r"^hold = 1: not used without inputs"):
@@ -150,8 +143,6 @@ def test_an_option_beside_another():
     seen = []
     dal.integrate(system, **plain, stride=2, t_eval=[0.1], observer=lambda k, *_: seen.append(k))
     assert seen == [0, 2, 4, 6, 8]
-    with pytest.raises(ValueError, match="observer and t_eval are both given: expected one"):
-        dal.integrate(system, **base("series"), t_eval=[0.1], observer=lambda *_: None)
 
 
 @pytest.mark.parametrize(
@@ -168,13 +159,13 @@ def test_an_option_beside_another():
         ),
         (
             {"h": 0.1, "t_end": 1, "tolerance": 1e-6},
-            "tolerance = 1e-06: not used with a fixed step; remove it, or take h = 'auto' or the "
-            "scheme 'reference'",
+            "tolerance = 1e-06: not used with a fixed step; remove it, or take h = 'auto', "
+            "h = 'own' or the schemes 'reference' and 'taylor'",
         ),
         (
             {"scheme": "reference", "h": 1, "t_end": 1, "energy": "keep"},
-            "energy = 'keep': not used with the scheme 'reference'; remove it, or take a fixed "
-            "step at moved nodes, h = 'auto' or h = 'reversible'",
+            "energy = 'keep': not used with the schemes 'reference' and 'taylor'; remove it, or "
+            "take a fixed step at moved nodes, h = 'auto' or h = 'reversible'",
         ),
         (
             {"h": "auto", "t_end": 1, "check_h": True},
@@ -192,7 +183,8 @@ def test_the_text_says_what_would_use_it():
     with pytest.raises(ValueError) as caught:
         dal.integrate(hilly(), h="auto", t_end=1, method="garbage")
     assert str(caught.value) == (
-        "method = 'garbage': not used with h = 'auto'; remove it, or take the scheme 'reference'"
+        "method = 'garbage': not used with h = 'auto'; remove it, or take h = 'own' or the "
+        "schemes 'reference' and 'taylor'"
     )
     for scheme, why in (("reference", "own step sizes"), ("midpoint-nodes", "kept nodes")):
         with pytest.raises(ValueError, match=f"^h = 'auto' with the scheme '{scheme}'.*{why}"):
@@ -243,7 +235,10 @@ def test_options_of_c_are_those_of_the_list():
     made = in_c({**given, "h": "auto", "system": None, "stride": 3})
     values = [made.max_iterations, made.tolerance, made.h_max, made.eps, made.keep_energy]
     assert values == [7, 1e-6, 0.5, 0.1, 1] and made is in_c(given)
-    assert {one.c for one in options_of(IntegrateOptions).values()} == {"", *dir(made)}
+    own = in_c({"h": "own"})
+    assert [own.own_steps, own.tolerance] == [1, 0.0]
+    names = {"", "own_steps", *(one.c for one in options_of(IntegrateOptions).values())}
+    assert names == {"", *dir(made)}
 
 
 @pytest.mark.parametrize("kind", ["fixed", "kept", "flow"])

@@ -235,7 +235,7 @@ def test_systems_in_sympy(name, most):
 
 
 @pytest.mark.parametrize("name, most", [
-    ("springs", 5), ("knife_edge", 2), ("sleigh", 10), ("contact", 8), ("rolling_disc", 15),
+    ("springs", 5), ("knife_edge", 2), ("sleigh", 12), ("contact", 8), ("rolling_disc", 15),
     ("snakeboard", 14), ("gyroscopic", 5), ("comet", 8),
 ])  # fmt: skip
 def test_problems_of_the_peers(name, most):

@@ -1,4 +1,4 @@
-"""Systems whose steps advance several members at once with vector instructions."""
+"""The same systems, compiled for Taylor series or for several members at once."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ import numpy as np
 from .. import geometry
 from ..core import DalembertError, extras
 from ..symbolic import codegen, expressions
-from ..system import BuiltIn, Expressions, System
+from .sources import BuiltIn, Expressions
+from .system import System
 
 _CLOSE = 1e-10  # of two ways to compute the field, relative to its largest component
 
 
-@functools.lru_cache(maxsize=8)
-def twin(system: System) -> System | None:
-    """Return a system with the same steps in vector lanes; None if there is none.
+@functools.lru_cache(maxsize=16)
+def twin(system: System, part: str) -> System | None:
+    """Return a system compiled with a part of `codegen.program`; None if there is none.
 
     A system from expressions is compiled again.  For a system written in C, its formulas are
     compiled, and the field of the result is compared with that of the system.
@@ -27,25 +28,26 @@ def twin(system: System) -> System | None:
         return None
     source = system._source
     if isinstance(source, Expressions):
-        return System._of(dataclasses.replace(source, lanes=True)) if _fits(source.model) else None
+        fits = _fits(source.model, part)
+        return System._of(dataclasses.replace(source, part=part)) if fits else None
     if not isinstance(source, BuiltIn) or system.q0 is None:
         return None
     with contextlib.suppress(ValueError, ArithmeticError, DalembertError):
         model = expressions.model(system)
-        if _fits(model):
+        if _fits(model, part):
             state = np.concatenate([system.q0, system.v0])
             about = {name: "" for name in ("help", "description", "source")}
             made = System._of(
                 Expressions(model, system.parameters, {"name": system.name, **about}, state, None,
-                            {}, lanes=True)  # fmt: skip
+                            {}, part=part)  # fmt: skip
             )
             if _same(system, made):
                 return made
     return None
 
 
-def _fits(model: object) -> bool:
-    return bool(codegen.has_lanes(model))
+def _fits(model: object, part: str) -> bool:
+    return part != "lanes" or bool(codegen.has_lanes(model))
 
 
 def _same(system: System, other: System) -> bool:
