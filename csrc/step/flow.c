@@ -42,7 +42,8 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     int status = dal_flow_input(method, motion->input);
     dal_flow_watch(method, motion->watch, motion->watch_ctx);
     for (*done = 0; !status && *done < steps; *done += !status)
-        status = dal__flow_step(method, motion->t0, motion->h, motion->steps + *done, motion->x,
+        status = dal__flow_step(method, motion->t0, motion->h, motion->steps - motion->first + *done,
+                                motion->x,
                                 &motion->stats->worst_residual);
     motion->stats->evaluations += dal_flow_evaluations(method) - evaluations;
     if (status) *motion->error = *dal_flow_error(method);

@@ -5,14 +5,28 @@
 
 #include <math.h>
 
-static bool wanted(const dal_options *options) { return options->own_steps; }
+/* A step of the family in equal parts, as many as the options ask for. */
+typedef struct own_steps {
+    double parts, end, part; /* the end of the step, and the length of a part */
+} own_steps;
+
+static bool wanted(const dal_options *options) { return options->own_steps != 0; }
 
 static int make(dal_stepper *self, const dal_options *options, dal_error *error)
 {
-    (void)options;
-    if (self->family->own_end) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" has no steps of its own size; give h, "
-                     "or choose the scheme taylor", self->scheme.name);
+    if (options->own_steps < 0)
+        return dal__fail(error, DAL_EINVAL, "options.own_steps = %d: expected a positive number",
+                         options->own_steps);
+    if (!self->family->own_end)
+        return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" has no steps of its own size; "
+                         "give h, or choose the scheme taylor", self->scheme.name);
+    own_steps *made;
+    dal__reserve(&self->variable.arena, &made, 1, sizeof *made);
+    const int status = dal__variable_make(self, error);
+    if (status) return status;
+    made->parts = options->own_steps;
+    self->control_data = made;
+    return DAL_SUCCESS;
 }
 
 /* An infinite h has only a direction. */
@@ -26,28 +40,50 @@ static int check(dal_stepper *self, double t, double h)
     return dal__stepper_check_times(self, t, direction(t, h));
 }
 
+static void land(dal_stepper *self)
+{
+    own_steps *const data = self->control_data;
+    data->end = data->part = 0.0;
+}
+
 static int start(dal_stepper *self, double t, double h, const double *x, double *first)
 {
-    (void)self, (void)x;
+    (void)x;
     *first = direction(t, h);
+    land(self);
     return DAL_SUCCESS;
 }
 
 static int step(dal_stepper *self, size_t steps, size_t *made)
 {
+    own_steps *const data = self->control_data;
     dal_motion *const motion = &self->motion;
     const double t = dal_stepper_time(self), ahead = dal__stepper_direction(self);
     double end;
     (void)steps; /* one at a time */
     int status = self->family->own_end(self->method, motion, self->until, &end);
     if (!status) {
-        const bool is_last = ahead * (end - self->until) >= 0.0;
-        status = dal__variable_step(self, t, is_last ? dal__variable_last(self, t) : end - t);
+        if (end != data->end || data->part == 0.0) {
+            data->end = end;
+            data->part = (end - t) / data->parts;
+        }
+        const double rest = end - t, part = data->part; /* no part that is a rounding */
+        const double h = fabs(rest) < 1.5 * fabs(part) ? rest : (t + part) - t;
+        const bool is_last = ahead * (t + h - self->until) >= 0.0;
+        status = dal__variable_step(self, t, is_last ? dal__variable_last(self, t) : h);
     }
     *made = !status;
     return status;
 }
 
+static void save(dal_stepper *self, dal__archive *a)
+{
+    own_steps *const data = self->control_data;
+    dal__archive_same(a, "own_steps", data->parts);
+    dal__archive_real(a, &data->end);
+    dal__archive_real(a, &data->part);
+}
+
 const dal__step_control dal__own_steps = {
     .name = "steps of the scheme's own size", .varies = true, .wanted = wanted, .make = make,
-    .check = check, .start = start, .step = step};
+    .check = check, .start = start, .step = step, .land = land, .save = save};

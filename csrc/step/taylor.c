@@ -39,16 +39,24 @@ static size_t order_for(double size)
 /* Of the length at which the last coefficients have the size that is allowed. */
 static const double SAFETY = 0.96;
 
-/* A piece that is so much longer than the one before is examined, as is the first one: whether its
- * polynomial solves the ODE at its end.  If the last coefficients are zero by chance, as those of
- * t^30, their size says nothing. */
+/* Each piece is examined at its end: whether its polynomial solves the ODE there.  Series do not see
+ * beyond a branch point where a function is finite, and not what is far below the last digit where
+ * they begin and large later, as exp(-1000 x).  A piece that is so much longer than the one before,
+ * the first one, and all pieces of a system that depends on time are examined inside too. */
 static const double GROWTH = 2.0;
+enum { INSIDE = 3 };
 
 /* Without last coefficients a piece has at most so many units. */
-static const double LONGEST = 0x1p10;
+static const double LONGEST = 8.0;
 
-/* What the slopes at the end of a piece may differ by, relative to their size, at most. */
-static double allowed_slope(double tolerance) { return fmax(sqrt(tolerance), 1e-7); }
+/* What the slopes may differ by, relative to their size, at most. */
+static double allowed_slope(double tolerance) { return fmax(sqrt(tolerance), 1e-10); }
+
+/* Pivots of C below so many times the tolerance may be errors of the steps, as in flow.c. */
+static const double PER_TOLERANCE = 10.0;
+
+/* A switch that has been crossed stays so for this many roundings of t. */
+static const double NEAR = 64.0;
 
 /* Coefficients below this order are divided exactly, if the tolerance is so fine that otherwise the
  * bias would be seen: with 10 the energy of all systems of the benchmarks walks at random to t =
@@ -100,7 +108,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     int status = dal__scheme_check_plain(motion->scheme, "taylor", error);
     if (status) return status;
     if (!(tolerance >= 2.0 * DBL_EPSILON && tolerance <= 0.1))
-        return dal__fail(error, DAL_EINVAL, "tolerance = %g: expected a number from %.2g to 0.1, "
+        return dal__fail(error, DAL_EINVAL, "tolerance = %g: expected a number from %.3g to 0.1, "
                          "or 0 for %g", tolerance, 2.0 * DBL_EPSILON, TOLERANCE);
     if (!series)
         return dal__fail(error, DAL_EUNSUPPORTED, "the system \"%s\" has no Taylor series, which "
@@ -130,6 +138,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     if (status) return status;
     *self = shape;
     self->arena = memory;
+    motion->guards->allowed = PER_TOLERANCE * tolerance;
     self->change = aligned(self->change);
     self->coefficients = aligned(self->coefficients);
     self->rates = aligned(self->rates);
@@ -419,14 +428,14 @@ static size_t switch_at_hand(const taylor *self, double direction)
     return self->series->switches;
 }
 
-/* Whether the polynomial of the piece solves the ODE where it ends. */
-static bool solves_at_end(taylor *self, const dal_motion *motion)
+/* Whether the polynomial of the piece solves the ODE at a time in it. */
+static bool solves_at(taylor *self, const dal_motion *motion, double t)
 {
     const size_t width = self->width;
-    const double s = (self->end - self->t) / self->unit;
+    const double s = (t - self->t) / self->unit;
     state_at(self, s, self->from, self->from_low);
     if (!dal__all_finite(self->states, self->from)) return false;
-    expand(self, motion, self->end, self->from, self->from_low, 1, self->rates);
+    expand(self, motion, t, self->from, self->from_low, 1, self->rates);
     memset(self->slope, 0, width * sizeof(double));
     for (size_t k = self->order; k > 0; k--)
         for (size_t i = 0; i < width; i++)
@@ -440,10 +449,21 @@ static bool solves_at_end(taylor *self, const dal_motion *motion)
         const double roundoff = DAL_ROUNDOFF * (double)self->order
                               * dal__largest(is_q ? self->n : self->states - self->n, kind);
         const double difference = fabs(self->slope[i] - self->rates[width + i]);
-        if (!(difference <= allowed_slope(self->tolerance) * size
-              || difference * fabs(s) <= roundoff)) return false;
+        if (!isfinite(size) || !(difference <= allowed_slope(self->tolerance) * size
+                                 || difference * fabs(s) <= roundoff)) return false;
     }
     return true;
+}
+
+/* The same at its end, and inside if there is doubt. */
+static bool solves(taylor *self, const dal_motion *motion, bool is_doubtful)
+{
+    bool found = solves_at(self, motion, self->end);
+    for (int k = 1; found && is_doubtful && k <= INSIDE; k++) {
+        const double part = (double)k / (INSIDE + 1.0);
+        found = solves_at(self, motion, self->t + part * (self->end - self->t));
+    }
+    return found;
 }
 
 /* On the other side of the switch at which the piece ends.  Returns false if it has just been
@@ -458,18 +478,18 @@ static bool cross(taylor *self)
     return true;
 }
 
-/* Shortens the piece of so many units, in a time of length, until its polynomial solves the ODE at
- * its end, where there is doubt.  Returns false if then it leads nowhere. */
+/* Shortens the piece of so many units, in a time of length, until its polynomial solves the ODE.
+ * Returns false if then it leads nowhere. */
 static bool shorten(taylor *self, const dal_motion *motion, double *units, double length)
 {
     enum { HALVINGS = 60 };
     const double last = self->last_length;
     const bool is_doubtful =
-        last == 0.0 || !(*units * self->unit <= GROWTH * last) || self->series->is_branched;
+        last == 0.0 || !(*units * self->unit <= GROWTH * last) || self->series->is_timed;
     for (int k = 0; k <= HALVINGS; k++, length *= 0.5) {
         self->end = self->t + direction_of(motion) * length;
         if (self->end == self->t) return false;
-        if (!is_doubtful || solves_at_end(self, motion)) {
+        if (solves(self, motion, is_doubtful)) {
             self->last_length = *units < HUGE_VAL ? *units * self->unit
                                                   : fmax(length, self->unit);
             return true;
@@ -535,15 +555,21 @@ static int next_piece(taylor *self, dal_motion *motion, double until)
     if (!status) status = dal__ask(&self->watch, self->t, motion->error);
     if (status) return status;
     state_at(self, (self->end - self->t) / self->unit, self->y, self->low);
+    const bool is_far = fabs(self->end - self->t) > NEAR * DAL_ROUNDOFF * fabs(self->end);
     self->t = self->end;
-    for (size_t i = 0; i < self->series->switches; i++) self->crossed[i] = 0.0;
-    (void)cross(self);
+    for (size_t i = 0; is_far && i < self->series->switches; i++) self->crossed[i] = 0.0;
+    if (!cross(self)) return fail_to_slide(self, motion);
     const double relative = self->last_length / self->unit;
     if (relative < 0.25 || relative > 4.0) self->unit = power_of_2(self->last_length);
     if (!self->series->in_D) status = stay_in_D(self, motion);
     if (!status) status = begin_piece(self, motion);
-    if (!status) dal__creep_step(&guards->creep, self->t, self->end - self->t);
-    return status;
+    if (status) return status;
+    dal__creep_step(&guards->creep, self->t, self->end - self->t);
+    if (motion->system->def.m == 0 || !dal__creep_is_short(&guards->creep, self->end - self->t))
+        return DAL_SUCCESS;
+    status = find_state(self, motion, self->t, self->y, self->x);
+    return status ? status : dal__rank_look(&guards->rank, motion->mechanics, self->t, 0.0,
+                                            guards->allowed, self->x);
 }
 
 /* ---- steps ------------------------------------------------------------------------------- */

@@ -15,6 +15,7 @@
 
 #include <dalembert/lu.h>
 
+#include <float.h>
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -45,7 +46,7 @@ typedef struct dal_series {
     size_t width;    /* numbers of a row: both together, to a multiple of four */
     size_t room;     /* numbers of workspace for each order */
     int in_D;        /* 1: v is in D for all y; 0: w is v */
-    int is_branched; /* 1: a function has branch points, which a series can pass unnoticed */
+    int is_timed;    /* 1: a function depends on time */
     /* Y[(order + 1)*width] <- the coefficients; work[(order + 1)*room].  Both are aligned to 64. */
     void (*expand)(const dal_series_at *at, size_t order, double *Y, double *work, const void *p);
     /* decay[DAL_SERIES_LAST] <- the largest |Y_k| of all states, relative to the largest of the
@@ -138,6 +139,16 @@ DAL_LU_INLINE void dal_series_look(const dal_four *x, const dal_four *factor, da
     *most = (dal_four)(((dal_four_bits)one & is_larger) | ((dal_four_bits)*most & ~is_larger));
 }
 
+DAL_LU_INLINE double dal_series_most(const dal_four *x)
+{
+    const double one = (*x)[0] > (*x)[1] ? (*x)[0] : (*x)[1];
+    const double other = (*x)[2] > (*x)[3] ? (*x)[2] : (*x)[3];
+    return one > other ? one : other;
+}
+
+/* A change that is so much smaller than the largest number of y needs no digits of its own. */
+#define DAL_SERIES_FLOOR 0x1p-150
+
 /* dal_series_decay where a state has no coefficients of orders 1 to 3. */
 DAL_LU_RARE void dal_series_decay_of_any(size_t width, size_t order, const double *Y,
                                          double *decay)
@@ -159,14 +170,17 @@ DAL_LU_INLINE void dal_series_decay(size_t width, size_t order, const double *Y,
     const dal_four *const all = (const dal_four *)Y;
     const size_t vectors = width / 4;
     const dal_four *const last = all + (order - DAL_SERIES_LAST + 1) * vectors;
-    dal_four most[DAL_SERIES_LAST] = {{0.0}}, sum = {0.0};
+    const dal_four unit = {1.0, 1.0, 1.0, 1.0};
+    dal_four most[DAL_SERIES_LAST] = {{0.0}}, sum = {0.0}, place = {0.0}, ignored;
     dal_four_bits lost = {0};
+    for (size_t c = 0; c < vectors; c++) dal_series_look(&all[c], &unit, &ignored, &place);
+    const double floor = DAL_SERIES_FLOOR * dal_series_most(&place) + DBL_MIN;
+    const dal_four least = {floor, floor, floor, floor};
     for (size_t c = 0; c < vectors; c++) {
-        const dal_four unit = {1.0, 1.0, 1.0, 1.0};
         dal_four size = {0.0}, one;
         for (size_t k = 1; k <= 3; k++)
             dal_series_look(&all[k * vectors + c], &unit, &one, &size);
-        const dal_four per = (dal_four)((dal_four_bits)(1.0 / size) & (size != 0.0));
+        const dal_four per = 1.0 / (size + least);
 #pragma GCC unroll 4
         for (size_t l = 0; l < DAL_SERIES_LAST; l++) {
             dal_series_look(&last[l * vectors + c], &per, &one, &most[l]);
@@ -176,12 +190,7 @@ DAL_LU_INLINE void dal_series_decay(size_t width, size_t order, const double *Y,
     }
     if (lost[0] | lost[1] | lost[2] | lost[3]) dal_series_decay_of_any(width, order, Y, decay);
     else
-#pragma GCC unroll 4
-        for (size_t l = 0; l < DAL_SERIES_LAST; l++) {
-            const double one = most[l][0] > most[l][1] ? most[l][0] : most[l][1];
-            const double other = most[l][2] > most[l][3] ? most[l][2] : most[l][3];
-            decay[l] = one > other ? one : other;
-        }
+        for (size_t l = 0; l < DAL_SERIES_LAST; l++) decay[l] = dal_series_most(&most[l]);
     const double total = (sum[0] + sum[1]) + (sum[2] + sum[3]);
     if (!(total <= 0x1p1000)) decay[0] = (double)NAN;
 }

@@ -27,6 +27,7 @@ from .scheme import INITIAL, METHODS, Scheme
 
 WORDS = ("auto", "reversible", "own")  # what h may be instead of a number
 TOLERANCE = 1e-9  # of "auto"
+_PARTS = 16  # of an own step, in runs with events
 JOURNAL_ERRORS = {"warn": 1, "stop": 0}
 
 
@@ -198,7 +199,7 @@ class Options(RunRecord):
         if not isinstance(given.h, str):
             return {}
         if given.h == "own":  # the tolerance belongs to the scheme
-            return {"h": given.h}
+            return {"h": given.h, "parts": _PARTS} if vars(self).get("events") else {"h": given.h}
         numbers = {name: getattr(given, name) for name in ("tolerance", "h_max", "eps")}
         return {"h": given.h, **{name: x for name, x in numbers.items() if x is not None}}
 
@@ -207,7 +208,7 @@ class Options(RunRecord):
         """The given options that are members of ``dal_options``, by name."""
         given: Any = self
         if given.scheme.is_flow:  # whose tolerance belongs to the scheme
-            return {"h": "own"} if given.h == "own" else {}
+            return given.control
         listed = options_of(type(self))
         return {name: x for name, x in vars(self).items() if x is not None and listed[name].c}
 
@@ -216,7 +217,7 @@ def in_c(values: Mapping[str, Any]) -> Any:
     """Return the shared, read-only ``dal_options`` of options by name; others are ignored."""
     listed = options_of(IntegrateOptions)
     if values.get("h") == "own":
-        return _in_c((("own_steps", 1),))
+        return _in_c((("own_steps", values.get("parts", 1)),))
     taken = ((listed[name], x) for name, x in values.items() if name in listed and x is not None)
     return _in_c(tuple((one.c, one.choices.get(x, x)) for one, x in taken if one.c))
 
@@ -251,7 +252,8 @@ class Size:
         Step size; negative to integrate backwards.  A number is never changed.
 
         "own", the default: steps of the scheme's own size, for "taylor" and "reference".  Each step
-        is stored, or every stride-th, or the states at t_eval.
+        is stored, or every stride-th, or the states at t_eval.  With events a step is made in 16
+        parts, because a step of "taylor" may be half an oscillation.
 
         "auto": each step is as long as ``tolerance`` allows.  The estimate of its error costs no
         evaluation.  Requires a composition of moved nodes.  Use it if the time scale of the motion

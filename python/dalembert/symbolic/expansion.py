@@ -10,7 +10,7 @@ from .graph import CONDITIONS, Node, below
 from .model import Model
 from .motion import Motion, series_of
 from .printing import C, Program, Text, nearest, spelled
-from .recurrences import ENDLESS, RULES, Operand, Series
+from .recurrences import COMPARED, ENDLESS, RULES, Operand, Series
 from .symbols import TIME
 
 
@@ -96,6 +96,7 @@ class Writer:
                 continue
             kind = "int" if e.op in CONDITIONS else "double"
             if e in self.series.sides:
+                found.append(f"const double s{self._number[e]} = {self._side(e)};")
                 found.append(f"const {kind} a{self._number[e]} = {self._branch(e, e.args, 0)};")
                 continue
             found.append(f"const {kind} a{self._number[e]} = {self._value(e)};")
@@ -125,31 +126,38 @@ class Writer:
 
     def _branch(self, e: Node, args: Sequence[Node], order: int) -> str:
         """Return the coefficient of a function with branches: of order 0, or k."""
-        switch, sign = self.series.sides[e]
-        side = f"at->side[{switch}]" if sign > 0 else f"-at->side[{switch}]"
+        side = f"s{self._number[e]}"
         parts = [self._part(a) if order == 0 else self.kth(a) or "0.0" for a in args]
         if e.op in _SIDES:
-            return f"({side}) {_SIDES[e.op]} 0.0"
+            return f"{side} {_SIDES[e.op]} 0.0"
         if e.op == "step":
             return f"model_step({side}, {parts[1]})"
         if e.op in ("max", "min"):
             one, other = parts if e.op == "max" else parts[::-1]
-            return f"({side}) >= 0.0 ? {one} : {other}"
-        return side if e.op == "sign" else f"({side}) * {parts[0]}"
+            return f"{side} >= 0.0 ? {one} : {other}"
+        return side if e.op == "sign" else f"{side} * {parts[0]}"
+
+    def _side(self, e: Node) -> str:
+        """Return the sign of the difference of the arguments: that of the switch, if it is known.
+        """
+        switch, sign = self.series.sides[e]
+        other = self._part(e.args[1]) if e.op in COMPARED else "0.0"
+        by_value = f"model_sign({self._part(e.args[0])} - {other})"
+        known = f"at->side[{switch}]"
+        return f"{known} != 0.0 ? {'-' * (sign < 0)}{known} : {by_value}"
 
     def _base(self, e: Node) -> str:
-        """Return the base of a root or a power: at a switch the value of the other branch.
+        """Return the base of a root or a power: Max(0, x) is 0 at the switch.
 
-        A base such as Max(0, x) is then 0, where rounding may make it negative, or so small that no
-        step leads on.
+        Rounding may make it negative there, or so small that no step leads on.
         """
         if e not in self.series.sides or e.op not in ("max", "min"):
             return self.zeroth(e)
-        switch, sign = self.series.sides[e]
-        ahead = f"at->side[{switch}]" if (sign > 0) == (e.op == "max") else f"-at->side[{switch}]"
-        one, other = map(self._part, e.args)
-        before = f"{ahead} < 0.0 ? {one} : {other}"
-        return f"at->crossed[{switch}] == 0.0 ? {self.zeroth(e)} : {before}"
+        numbers = [repr(nearest(a)) for a in e.args if a.op == "number"]
+        if not numbers:
+            return self.zeroth(e)
+        switch, _ = self.series.sides[e]
+        return f"at->crossed[{switch}] == 0.0 ? {self.zeroth(e)} : {numbers[0]}"
 
     def zeroth(self, e: Node) -> str:
         """Return the name, or the text, of the coefficient of order 0."""
@@ -411,7 +419,7 @@ def expansion(made: Program, model: Model, motion: Motion) -> None:
     x = {"x": [*q, *(read(s) for s in model.v)], "u": u, "p": p}
     _values(made, "quasi", "t, x, u, w, p", motion.quasi, x, time)
     sizes = len(y), len(series.switches), width, 8 * vectors
-    flags = int(motion.in_D), int(series.is_branched)
+    flags = int(motion.in_D), int(series.is_timed)
     made.add(
         "static const dal_series model_series = {\n"
         f"    DAL_SERIES_ABI, {', '.join(map(str, (*sizes, *flags)))},\n"

@@ -29,7 +29,11 @@ from .graph import CONDITIONS, Graph, Node, below, mask_of
 # Degree of a series that does not end.
 ENDLESS = 2
 
-_COMPARED = ("max", "min", "<", "<=", "==", "!=")
+COMPARED = ("max", "min", "<", "<=", "==", "!=")
+_ALONE = ("fabs", "sign", "step")
+_CONSTANT = ("sign", "step", *CONDITIONS)  # between switches
+
+COMPARED = ("max", "min", "<", "<=", "==", "!=")
 _ALONE = ("fabs", "sign", "step")
 _CONSTANT = ("sign", "step", *CONDITIONS)  # between switches
 
@@ -107,7 +111,10 @@ def _prepared(nodes: Sequence[Node], changing: int) -> list[Node]:
     graph, made = Graph(), dict[Node, Node]()
     for node in below(nodes):
         args = [made[a] for a in node.args]
-        if node.op == "pow":
+        if node.op == "pow" and node.value == -2 and args[0].op == "cosh":
+            tanh = graph.make("tanh", args[0].args[0])  # cosh overflows where the tanh is 1
+            made[node] = graph.make("-", graph.one, _square(graph, tanh))
+        elif node.op == "pow":
             made[node] = _power(graph, args[0], node.value)
         elif node.op == "*":
             made[node] = _product(graph, *args)
@@ -165,8 +172,8 @@ class Series:
         The series whose signs determine branches, numbered.
     sides : dict of Node to tuple of int
         The number of the switch of a function with branches, and the factor of its sign.
-    is_branched : bool
-        Whether a function has branch points at which it is finite.
+    is_timed : bool
+        Whether a rate depends on time.
     """
 
     def __init__(self, states: Mapping[Node, Node], time: Node) -> None:
@@ -182,7 +189,7 @@ class Series:
         every = [*self.states, *self.states.values(), *self.other.values(), *self.switches]
         self.nodes = below(every)
         self.degree = self._degrees()
-        self.is_branched = any(_is_branched(e) and self.degree[e] > 0 for e in self.nodes)
+        self.is_timed = self.time in self.nodes
         self.pairs: dict[Pair, int] = {}
         for e in self.nodes:
             for pair in self.needs(e):
@@ -202,8 +209,8 @@ class Series:
             elif e.op == "atan2":
                 y, x = e.args
                 found = self.other[e] = graph.make("+", _square(graph, x), _square(graph, y))
-            elif e.op in (*_COMPARED, *_ALONE):
-                other = e.args[1] if e.op in _COMPARED else graph.zero
+            elif e.op in (*COMPARED, *_ALONE):
+                other = e.args[1] if e.op in COMPARED else graph.zero
                 found, sign = _difference(e.args[0], other)
                 self.sides[e] = self.switches.setdefault(found, len(self.switches)), sign
             else:
@@ -272,20 +279,13 @@ def _difference(a: Node, b: Node) -> tuple[Node, int]:
     if a.is_zero:
         found, sign = _difference(b, a)
         return found, -sign
+    if b.is_zero and a.op == "*" and a.args[0].op == "number":  # as of -x
+        found, sign = _difference(a.args[1], b)
+        return found, sign if a.args[0].value > 0 else -sign
     if b.is_zero:
-        if a.op == "*" and a.args[0].op == "number":  # as of -x
-            return a.args[1], 1 if a.args[0].value > 0 else -1
-        return a, 1
+        return _difference(*a.args) if a.op == "-" else (a, 1)
     one, other = sorted((a, b), key=lambda e: e.index)
     return a.graph.make("-", one, other), 1 if one is a else -1
-
-
-def _is_branched(e: Node) -> bool:
-    """Return whether a function has branch points at which it is finite."""
-    if e.op != "power":
-        return e.op in _BRANCHED
-    exponent = e.args[1]
-    return exponent.op != "number" or exponent.value > 0
 
 
 def _pair(a: Node, b: Node) -> Pair:

@@ -187,7 +187,9 @@ def test_what_does_not_go_together():
     ):  # fmt: skip
         with pytest.raises(ValueError, match=words):
             dal.integrate(skate(), **given)
-    plain = dal.System(mass=[1.0], gradient=lambda q: q, q0=[1], v0=[0])
+    plain = dal.System(
+        mass=[1.0], potential=lambda q: q[0] ** 2 / 2, gradient=lambda q: q, q0=[1], v0=[0]
+    )
     with pytest.raises(NotImplementedError, match="has no Taylor series, which come from its expr"):
         dal.integrate(plain, "taylor", t_end=1)
 

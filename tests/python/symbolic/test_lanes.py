@@ -190,7 +190,7 @@ def after(lanes, lane, steps, stepper):
 
 def together(system):
     """Return the system compiled with lanes."""
-    return dal.System._of(dataclasses.replace(system._source, lanes=True))
+    return dal.System._of(dataclasses.replace(system._source, part="lanes"))
 
 
 def members(system, scheme, count=MOST, h=0.01, size=0.6, speed=1.0):
@@ -417,10 +417,10 @@ def test_models_without_lanes():
     """A model with nine coordinates has the ordinary library."""
     pushed = dal.System.from_sympy(free(dal.coordinates(" ".join(f"x{i}" for i in range(9)))))
     assert not codegen.has_lanes(pushed._model)
-    assert library(pushed._model, lanes=True) is library(pushed._model)
+    assert library(pushed._model, "lanes") is library(pushed._model)
     assert width(together(pushed)) == lib.DAL_EUNSUPPORTED
     system = particle()
-    assert library(system._model, lanes=True) is not library(system._model)
+    assert library(system._model, "lanes") is not library(system._model)
     assert width(system) == lib.DAL_EUNSUPPORTED
     assert width(together(system)) == 0
     assert width(together(system), "reference") == lib.DAL_EUNSUPPORTED
