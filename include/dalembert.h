@@ -361,9 +361,10 @@ typedef struct dal_options {
                            The largest speed and rate so far define scales of rho.  Until they are
                            known, at the start and in the first encounters, steps are not
                            reversible.  Excludes tolerance and h_max */
-    int own_steps;      /* > 0: steps of the scheme's own size, as long as its tolerance allows, each
-                           in so many equal parts: for the schemes taylor and reference.  Events
-                           are looked for at the ends of parts.  Excludes the other controls */
+    int own_steps;      /* > 0: steps of the scheme's own size, as long as its tolerance allows, for
+                           the schemes taylor and reference.  Those of taylor are made in so many
+                           equal parts: events are looked for at their ends.  Excludes the other
+                           controls of the size */
 } dal_options;
 
 /* The treatment of initial data (dal_stepper_start). */

@@ -42,15 +42,15 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     int status = dal_flow_input(method, motion->input);
     dal_flow_watch(method, motion->watch, motion->watch_ctx);
     for (*done = 0; !status && *done < steps; *done += !status)
-        status = dal__flow_step(method, motion->t0, motion->h, motion->steps - motion->first + *done,
-                                motion->x,
+        status = dal__flow_step(method, motion->t0, motion->h,
+                                motion->steps - motion->first + *done, motion->x,
                                 &motion->stats->worst_residual);
     motion->stats->evaluations += dal_flow_evaluations(method) - evaluations;
     if (status) *motion->error = *dal_flow_error(method);
     return status;
 }
 
-/* Of a run to a finite time: its first step, and all of a multistep method. */
+/* Of a run to a finite time: its first step. */
 static const double PART = 0x1p-9;
 
 static int own_end(void *method, dal_motion *motion, double until, double *end)

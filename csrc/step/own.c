@@ -17,12 +17,14 @@ static int make(dal_stepper *self, const dal_options *options, dal_error *error)
     if (options->own_steps < 0)
         return dal__fail(error, DAL_EINVAL, "options.own_steps = %d: expected a positive number",
                          options->own_steps);
-    if (!self->family->own_end)
+    const dal_family *const family = self->family;
+    const bool is_multistep = family->save && family->save(self->method, NULL) == DAL_NOT_RESUMABLE;
+    if (!family->own_end || is_multistep)
         return dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" has no steps of its own size; "
                          "give h, or choose the scheme taylor", self->scheme.name);
     own_steps *made;
     dal__reserve(&self->variable.arena, &made, 1, sizeof *made);
-    const int status = dal__variable_make(self, error);
+    const int status = dal__allocate(&self->variable.arena, error);
     if (status) return status;
     made->parts = options->own_steps;
     self->control_data = made;
@@ -68,7 +70,8 @@ static int step(dal_stepper *self, size_t steps, size_t *made)
             data->part = (end - t) / data->parts;
         }
         const double rest = end - t, part = data->part; /* no part that is a rounding */
-        const double h = fabs(rest) < 1.5 * fabs(part) ? rest : (t + part) - t;
+        const bool is_rest = fabs(rest) < 1.5 * fabs(part) || t + part == t;
+        const double h = is_rest ? rest : (t + part) - t;
         const bool is_last = ahead * (t + h - self->until) >= 0.0;
         status = dal__variable_step(self, t, is_last ? dal__variable_last(self, t) : h);
     }

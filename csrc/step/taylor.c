@@ -39,15 +39,17 @@ static size_t order_for(double size)
 /* Of the length at which the last coefficients have the size that is allowed. */
 static const double SAFETY = 0.96;
 
-/* Each piece is examined at its end: whether its polynomial solves the ODE there.  Series do not see
- * beyond a branch point where a function is finite, and not what is far below the last digit where
- * they begin and large later, as exp(-1000 x).  A piece that is so much longer than the one before,
- * the first one, and all pieces of a system that depends on time are examined inside too. */
+/* Each piece is examined at its end: whether its polynomial solves the ODE there.  Series do not
+ * see beyond a branch point where a function is finite, and not what is far below the last digit
+ * where they begin and large later, as exp(-1000 x).  A piece that is so much longer than the one
+ * before, the first one, and all pieces of a system that depends on time are examined inside
+ * too. */
 static const double GROWTH = 2.0;
 enum { INSIDE = 3 };
 
-/* Without last coefficients a piece has at most so many units. */
-static const double LONGEST = 8.0;
+/* The most units of a piece, which is longer only without last coefficients; and the same if the
+ * system depends on time, which may bring a force at any moment. */
+static const double LONGEST = 8.0, LONGEST_IN_TIME = 2.0;
 
 /* What the slopes may differ by, relative to their size, at most. */
 static double allowed_slope(double tolerance) { return fmax(sqrt(tolerance), 1e-10); }
@@ -286,8 +288,7 @@ static int expand_piece(taylor *self, dal_motion *motion, double *units)
     for (int k = 0; k < TRIES; k++) {
         expand_here(self, motion);
         *units = allowed_units(self);
-        const bool is_far = !(*units <= FAR && *units >= 1.0 / FAR);
-        if (*units == HUGE_VAL || !is_far) return DAL_SUCCESS;
+        if (*units >= 1.0 / FAR) return DAL_SUCCESS; /* long pieces grow one after the other */
         const double factor = isnan(*units) ? 0x1p-32 : power_of_2(*units);
         const double unit = self->unit * factor;
         if (!(unit > DBL_MIN && unit < DBL_MAX)) break;
@@ -509,7 +510,9 @@ static int begin_piece(taylor *self, dal_motion *motion)
         double units;
         const int status = expand_on_sides(self, motion, &units);
         if (status) return status;
-        const double length = until_switch(self, direction, fmin(units, LONGEST)) * self->unit;
+        const double most = self->series->is_timed ? LONGEST_IN_TIME : LONGEST;
+        if (units > most) units = HUGE_VAL; /* its length says nothing of the scale of the motion */
+        const double length = until_switch(self, direction, fmin(units, most)) * self->unit;
         self->stale = false;
         if (shorten(self, motion, &units, length)) return DAL_SUCCESS;
         if (self->switched == switches) self->switched = switch_at_hand(self, direction);
@@ -560,7 +563,7 @@ static int next_piece(taylor *self, dal_motion *motion, double until)
     for (size_t i = 0; is_far && i < self->series->switches; i++) self->crossed[i] = 0.0;
     if (!cross(self)) return fail_to_slide(self, motion);
     const double relative = self->last_length / self->unit;
-    if (relative < 0.25 || relative > 4.0) self->unit = power_of_2(self->last_length);
+    if (relative < 0.25 || relative >= 2.0) self->unit = power_of_2(self->last_length);
     if (!self->series->in_D) status = stay_in_D(self, motion);
     if (!status) status = begin_piece(self, motion);
     if (status) return status;
@@ -653,7 +656,8 @@ static int own_end(void *method, dal_motion *motion, double until, double *end)
 {
     taylor *const self = method;
     int status = follow(self, motion, time_of(motion, 0));
-    if (!status && self->row_t == self->end) status = next_piece(self, motion, until);
+    const bool is_there = direction_of(motion) * (self->end - self->row_t) <= 0.0;
+    if (!status && is_there) status = next_piece(self, motion, until);
     *end = self->end;
     self->going = !status;
     return status;

@@ -199,7 +199,8 @@ class Options(RunRecord):
         if not isinstance(given.h, str):
             return {}
         if given.h == "own":  # the tolerance belongs to the scheme
-            return {"h": given.h, "parts": _PARTS} if vars(self).get("events") else {"h": given.h}
+            is_long = given.scheme.family == "taylor" and vars(self).get("events")
+            return {"h": given.h, "parts": _PARTS} if is_long else {"h": given.h}
         numbers = {name: getattr(given, name) for name in ("tolerance", "h_max", "eps")}
         return {"h": given.h, **{name: x for name, x in numbers.items() if x is not None}}
 
@@ -253,7 +254,7 @@ class Size:
 
         "own", the default: steps of the scheme's own size, for "taylor" and "reference".  Each step
         is stored, or every stride-th, or the states at t_eval.  With events a step is made in 16
-        parts, because a step of "taylor" may be half an oscillation.
+        parts if the scheme is "taylor", because such a step may be half an oscillation.
 
         "auto": each step is as long as ``tolerance`` allows.  The estimate of its error costs no
         evaluation.  Requires a composition of moved nodes.  Use it if the time scale of the motion

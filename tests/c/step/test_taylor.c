@@ -151,7 +151,7 @@ static void test_exact(const dal_system *system)
         CHECK(dal_advance(stepper, steps, NULL, NULL) == 0);
         CHECK(error_of(stepper) < 1e-13);
         dal_stepper_stats(stepper, &stats);
-        CHECK(stats.worst_residual <= 4 * N * 0x1p-53 && stats.evaluations < 80);
+        CHECK(stats.worst_residual <= 4 * N * 0x1p-53 && stats.evaluations < 160);
         dal_stepper_free(stepper);
     }
 }

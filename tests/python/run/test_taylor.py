@@ -161,10 +161,19 @@ def test_without_h():
     few = dal.integrate(skate(), t_end=20, stride=4)
     assert (few.t[:-1] == run.t[::4][: len(few.t) - 1]).all() and few.t[-1] == 20
     particle = dal.systems.particle()
-    for method in ("rk8pd", "msadams", "rodas"):
+    with pytest.raises(NotImplementedError, match='"reference" has no steps of its own size'):
+        dal.integrate(particle, t_end=5, method="msadams")
+    for method in ("rk8pd", "rodas"):
         other = dal.integrate(particle, t_end=5, method=method, tolerance=1e-10)
         assert other.scheme.name == "reference" and other.t[-1] == 5 and len(other.t) > 10
         np.testing.assert_allclose(other.q[-1], particle.exact(5.0)[0], rtol=0, atol=1e-8)
+
+
+def test_the_reference_without_h_knows_the_time():
+    """Each of its own steps begins at a time of its own."""
+    pushed = dal.System(mass=[1.0], force=lambda t, q, v: [np.sin(t)], q0=[0], v0=[0])
+    run = dal.integrate(pushed, t_end=5)
+    np.testing.assert_allclose(run.q[:, 0], run.t - np.sin(run.t), rtol=0, atol=1e-13)
 
 
 def test_output_times():
@@ -251,6 +260,15 @@ def test_events():
     assert run.status == 1 and abs(run.q[-1, 0] - 0.5) < 1e-14 and len(run.t_events[0]) == 1
     exact = exact_skate(sp.nsimplify(float(run.t[-1])))
     np.testing.assert_allclose(run.x[-1], exact, rtol=0, atol=1e-13)
+
+
+def test_events_in_long_steps():
+    """A step may be half an oscillation; with events it is made in parts."""
+    oscillator = free(x**2 / 2)
+    for g, count in ((x**2 - sp.Rational(1, 2), 64), (sp.sin(5 * t), 159), (x * x.d - 0.4, 64)):
+        run = dal.integrate(oscillator, q0=[0, 0], v0=[1, 0], t_end=100, events=[g])
+        assert len(run.t_events[0]) == count
+    assert run.control["parts"] == 16
 
 
 @pytest.mark.parametrize("sizes", [{}, {"h": 0.25}])
@@ -413,6 +431,51 @@ def test_where_series_end(name):
         np.testing.assert_allclose(there.x, other.x, rtol=0, atol=1e-9)
     else:
         assert abs(run.energy - run.energy[0]).max() < 1e-12
+
+
+@pytest.mark.parametrize("wall", [sp.Rational(1, 3), 1, 100])
+def test_two_formulas_of_one_wall(wall):
+    """Max(0, x - a)^2 has a maximum and a step, whose switches are one."""
+    rng = np.random.default_rng(3)
+    system = free(x**2 / 2 + 10 * sp.Max(0, x - wall) ** 2 + sp.Abs(y) + sp.Abs(y - x) / 9)
+    for _ in range(20):
+        q0, v0 = rng.normal(size=(2, 2)) * float(wall) * 2
+        run = dal.integrate(system, q0=q0, v0=v0, t_end=20)
+        assert abs(run.energy / run.energy[0] - 1).max() < 1e-12
+
+
+def test_terms_that_grow_fast():
+    """A floor that is exp(-300 x), below the last digit of the weight until just before it."""
+    for k in (50, 200, 300, 1000):
+        floor = free(x + sp.exp(-k * x))
+        run = dal.integrate(floor, q0=[1, 0], v0=[0, 1], t_end=6)
+        assert abs(run.energy - run.energy[0]).max() < 1e-13 and run.q[:, 0].min() > -0.1
+    pulse = free(0, force={x: sp.exp(-((t - 20) ** 2))})
+    run = dal.integrate(pulse, q0=[0, 0], v0=[0, 1], t_end=50)
+    assert abs(run.v[-1, 0] - np.sqrt(np.pi)) < 1e-13
+
+
+def test_decay():
+    """A speed that vanishes among others: its digits are not followed below 1e-45."""
+    system = free(x**2 / 2, force={y: -50 * y.d})
+    run = dal.integrate(system, q0=[1, 0], v0=[0, 1], t_end=100)
+    assert len(run.t) < 4000 and abs(run.q[-1, 1] - 0.02) < 1e-15
+    smooth = free(0, force={x: -sp.tanh(100 * x.d)})
+    run = dal.integrate(smooth, q0=[365, 0], v0=[1, 0], t_end=20)
+    assert len(run.t) < 4000 and abs(run.q[-1, 0] - 365.500082246703) < 1e-9
+    far = free(-sp.tanh(x))
+    for place in (-370, 365):
+        run = dal.integrate(far, q0=[place, 0], v0=[1, 0], t_end=1)
+        assert abs(run.q[-1, 0] - place - 1) < 1e-13
+
+
+def test_functions_of_a_modulus():
+    """The branch that is not taken may be infinite."""
+    root = sp.Piecewise((sp.sqrt(x), x > 0), (sp.sqrt(-x), True))
+    for V in (1 / sp.Abs(x), sp.log(sp.Abs(x)), root):
+        for side in (1, -1):
+            run = dal.integrate(free(V), q0=[2 * side, 0], v0=[0.1, 0], t_end=0.5)
+            assert run.success and abs(run.energy - run.energy[0]).max() < 1e-14
 
 
 def test_coefficients_that_are_zero_by_chance():
