@@ -37,6 +37,7 @@ nitpicky = True
 nitpick_ignore = [
     ("c:identifier", "size_t"), ("c:identifier", "uint64_t"),
     ("c:identifier", "dal__guards"),  # in family.h, and of the library alone
+    ("c:identifier", "dal_series"),  # of generated code
 ]
 
 # ---- prose ----

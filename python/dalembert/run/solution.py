@@ -55,7 +55,7 @@ class Statistics:
     differenced : tuple of str
         Derivatives that were replaced by central differences.
     evaluations : int
-        Evaluations of the vector field by the reference flow.
+        Evaluations of the vector field by "reference"; series and examined slopes by "taylor".
     jump_step, jump, largest_kinetic : int, float, float
         The first step at which the energy was found changed by more than half of the largest
         kinetic energy, the change, and that kinetic energy.  The step is 0 if there is none.

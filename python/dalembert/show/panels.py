@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core import Array
+from ..core import Array, extras
 from ..run import Solution
 from ..study import Study
 from ..symbolic import formula
@@ -40,6 +40,17 @@ def equations(system: System) -> web.HTML:
     note = "" if system.formulas else _made_of(system)
     table = Table(["", ""], rows, 2, note=note, style="formulas")
     return web.render("table.html", table=table, coordinates=system.coordinates)
+
+
+def on_D(system: System) -> list[tuple[str, str]]:
+    """Return the equations on D as rows of a table; none if they are not known, or too long."""
+    if not extras.is_there("sympy"):
+        return []
+    with contextlib.suppress(NotImplementedError, ValueError):
+        rows = system.reduced().lines()
+        if max(len(text) for _, text in rows) <= LONG // 4:
+            return [(name, f"`{text}`") for name, text in rows]
+    return []
 
 
 _MOTION = (

@@ -9,6 +9,7 @@ from ..core.extras import Later
 
 codegen = Later(__name__, "codegen")
 constructor = Later(__name__, "constructor")
+equations = Later(__name__, "equations")
 evaluation = Later(__name__, "evaluation")
 event = Later(__name__, "event")
 expressions = Later(__name__, "expressions")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import sympy
@@ -21,16 +21,19 @@ def _latex_symbol(name: str) -> str:
     return rf"\mathtt{{{safe}}}"
 
 
-def latex(model: Model) -> str:
-    """Return L, mu and the ODE on D as LaTeX, in an aligned environment."""
+def writer(model: Model, more: Mapping[Expr, str]) -> Callable[[Expr], str]:
+    """Return a function that writes expressions of a model, and of more symbols, as LaTeX."""
     letters = (*model.parameters, *model.inputs)
     names: dict[Expr, str] = dict(zip((*model.p, *model.u), map(_latex_symbol, letters)))
     for q, v, name in zip(model.q, model.v, model.coordinates):
         names |= {q: _latex_symbol(name), v: rf"\dot{{{_latex_symbol(name)}}}"}
+    names |= more
+    return lambda e: str(sympy.latex(_in_doubles(e), symbol_names=names))
 
-    def tex(expression: Expr) -> str:
-        return str(sympy.latex(_in_doubles(expression), symbol_names=names))
 
+def latex(model: Model) -> str:
+    """Return L, mu and the ODE on D as LaTeX, in an aligned environment."""
+    tex = writer(model, {})
     derived, n, m = model.derived, model.n, model.m
     form = r"\mu" if derived.kind == "linear" else r"\varphi_v"
     lines = [f"L &= {tex(model.L)}"]

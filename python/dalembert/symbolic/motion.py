@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import mpmath
 
 from .graph import Node
 from .model import Model
 from .recurrences import Series
-from .reduced import NotReduced
+from .reduced import NotReduced, Reduced
 from .symbols import TIME
+from .values import values
 
 
 @dataclass(frozen=True)
@@ -38,13 +43,57 @@ class Motion:
 
 
 def motion(model: Model) -> Motion:
-    """Return the motion of a model: on D if a basis of D is found."""
+    """Return the motion of a model: on D if a basis of D is found, and agrees with the multipliers.
+    """
+    v = [model.derived.read(x) for x in model.v]
     try:
         found = model.reduced
     except NotReduced:
-        v = [model.derived.read(x) for x in model.v]
+        found = None
+    if found is None or not agrees(model, found):
         return Motion(v, v, accelerations(model), v, model.m == 0)
     return Motion(found.w, found.velocity, found.rates, found.quasi, True)
+
+
+def agrees(model: Model, found: Reduced) -> bool:
+    """Return whether equations on D give the acceleration with the multipliers, at two points.
+
+    The acceleration is that of the matrix [[M, mu^T], [mu, 0]], with 40 digits.
+    """
+    read, n, m = model.derived.read, model.n, model.m
+    terms = model.derived.terms.outputs
+    motion = dict(zip(map(read, model.q), found.velocity)) | dict(zip(found.w, found.rates))
+    graph = found.velocity[0].graph
+    slopes = graph.along(found.velocity, motion | {read(TIME): graph.one})
+    names = [x.name for x in (*model.q, *model.p, *model.u, TIME)] + [x.value for x in found.w]
+    source, tried = random.Random(2), 0
+    with mpmath.workdps(40):
+        for _ in range(_POINTS):
+            point: dict[str, Any] = {x: source.randint(200, 1100) / 1000 for x in names}
+            point |= zip((x.name for x in model.v), values(found.velocity, point))
+            M = values(model.derived.mass or terms["M"], point)
+            mu, F, g = (values(terms.get(x, ()), point) for x in ("mu", "F", "g"))
+            given = values(slopes, point)
+            if not all(map(mpmath.isfinite, (*M, *mu, *F, *g, *given))):
+                continue  # not in the domain
+            above = [[*row, *mu[i::n]] for i, row in enumerate(_rows(M, n))]
+            whole = [*above, *([*row, *[0] * m] for row in _rows(mu, n))]
+            right = [*F, *(-x for x in g)]
+            try:
+                expected = mpmath.lu_solve(mpmath.matrix(whole), mpmath.matrix(right))[:n]
+            except ZeroDivisionError:
+                continue
+            size = max(map(abs, (*expected, *given)))
+            if any(abs(x - y) > size * _CLOSE for x, y in zip(given, expected)):
+                return False
+            tried += 1
+            if tried == 2:
+                break
+    return True
+
+
+_POINTS = 8  # of which two have to be in the domain
+_CLOSE = mpmath.mpf(10) ** -20
 
 
 def series_of(model: Model, motion: Motion) -> Series:
@@ -70,7 +119,7 @@ def accelerations(model: Model) -> list[Node]:
     ]  # fmt: skip
 
 
-def _rows(entries: Sequence[Node], n: int) -> list[list[Node]]:
+def _rows(entries: Sequence[Any], n: int) -> list[list[Any]]:
     return [list(entries[i : i + n]) for i in range(0, len(entries), n)]
 
 

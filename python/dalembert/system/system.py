@@ -679,6 +679,37 @@ class System(Handle):
             raise ValueError(f"the system {self.name!r} was not made by from_sympy")
         return self._model, symbolic.constructor.c_identifier(name, self.name)
 
+    def reduced(self) -> Any:
+        """Return the equations of motion on D in closed form, as by Hamel.
+
+        The velocities are v = E(q) w + e(q), with a basis E of the kernel of mu that has full rank
+        wherever mu has.  The scheme "taylor" integrates these equations.  Before they are returned
+        they are compared with the multipliers, at two points with 40 digits.
+
+        Returns
+        -------
+        dalembert.symbolic.equations.Equations
+            w, E, e, rates (of w) and how (E was found), in SymPy; in a notebook a formula.
+
+        Raises
+        ------
+        NotImplementedError
+            If no such E is found, or the constraints are nonlinear.
+        ValueError
+            If the system has no formulas.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.systems.knife_edge().reduced().E
+        Matrix([
+        [cos(theta), 0],
+        [sin(theta), 0],
+        [         0, 1]])
+        """
+        model = symbolic.expressions.model(self) if self._model is None else self._model
+        return symbolic.equations.equations(model)
+
     def _repr_latex_(self) -> str | None:
         """Return L, mu and the equations of motion for a notebook, None without expressions."""
         return None if self._model is None else f"${self._model.latex()}$"

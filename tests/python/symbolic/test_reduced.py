@@ -1,17 +1,21 @@
 """The equations on D: against the multipliers, by operations on columns, and their cost."""
 
+import dataclasses
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+import sympy as sp
 from sympy import Rational, cos, sin
 
 import dalembert as dal
 from dalembert.symbolic import given
 from dalembert.symbolic.convolutions import cost
 from dalembert.symbolic.graph import Graph, below
+from dalembert.symbolic.motion import motion
 from dalembert.symbolic.printing import as_function
 from dalembert.symbolic.reduced import NotReduced, Reduced
 
@@ -418,3 +422,42 @@ def test_cost():
         assert cost({x: rate, y: x}) == expected, rate
     assert cost({x: p, y: graph.call("sin", x) * y}) == 1  # x moves evenly
     assert cost({x: graph.zero, y: x * y**2}) == 1
+
+
+def test_equations_are_compared_before_they_are_believed():
+    """With rates off by 1e-12 the series are those of (q, v)."""
+    x, y, theta = dal.coordinates("x y theta")
+    blade = dal.System.from_sympy(
+        (x.d**2 + y.d**2 + theta.d**2) / 2 - x, [sp.sin(theta) * x.d - sp.cos(theta) * y.d]
+    )
+    model = blade._model
+    assert motion(model).in_D
+    found = model.reduced
+    wrong = Fraction(1) + Fraction(1, 10**12)
+    rates = (wrong * found.rates[0], *found.rates[1:])
+    model.__dict__["_reduced"] = dataclasses.replace(found, rates=rates)
+    assert not motion(model).in_D
+    with pytest.raises(NotImplementedError, match="are wrong; please report it"):
+        blade.reduced()
+
+
+def test_equations_for_people():
+    """Of the sleigh, as Bloch (2003) writes them; and what has none."""
+    found = dal.systems.sleigh().reduced()
+    a, J, m, theta = sp.symbols("a J m theta")
+    w1, w2 = found.w
+    names = {s: sp.Symbol(s.name) for s in found.E.free_symbols | found.rates.free_symbols}
+    rates = found.rates.xreplace(names)
+    w1, w2 = sp.Symbol(w1.name), sp.Symbol(w2.name)
+    assert sp.simplify(rates[0] - a * w2**2) == 0
+    assert sp.simplify(rates[1] + m * a * w1 * w2 / (J + m * a**2)) == 0
+    assert found.E.xreplace(names)[:, 0] == sp.Matrix([sp.cos(theta), sp.sin(theta), 0])
+    assert r"\dot w_{1} &= a w_{2}^{2}" in found._repr_latex_()
+    x, y = dal.coordinates("x y")
+    free = dal.System.from_sympy((x.d**2 + y.d**2) / 2)
+    assert free.reduced().E == sp.eye(2) and free.reduced().rates == sp.zeros(2, 1)
+    round_ = dal.System.from_sympy((x.d**2 + y.d**2) / 2, [x.d**2 + y.d**2 - 1])
+    with pytest.raises(NotImplementedError, match="not linear in the velocities"):
+        round_.reduced()
+    with pytest.raises(ValueError, match="has no formulas"):
+        dal.System(mass=[1.0]).reduced()

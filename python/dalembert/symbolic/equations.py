@@ -1,0 +1,98 @@
+"""The equations of motion on D as SymPy expressions, for people."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import sympy
+
+from .latex import writer
+from .model import Model
+from .motion import agrees
+from .reduced import NotReduced
+from .symbols import TIME, Time
+
+Expr = Any
+
+
+class Equations(NamedTuple):
+    """The equations of motion on D: q' = E w + e, and w' = rates.
+
+    Attributes
+    ----------
+    w : tuple of sympy.Symbol
+        The n - m quasi-velocities.
+    E : sympy.Matrix, n x (n - m)
+        A basis of the kernel of mu, in the coordinates, the time, parameters and inputs.
+    e : sympy.Matrix, n x 1
+        0 unless the constraints are affine.
+    rates : sympy.Matrix, (n - m) x 1
+        The rates of w.
+    how : tuple of str
+        The operations on columns that led to E.
+    tex : str
+        The same as LaTeX, in an aligned environment.
+    coordinates : tuple of str
+        Their names.
+    """
+
+    w: tuple[Expr, ...]
+    E: Expr
+    e: Expr
+    rates: Expr
+    how: tuple[str, ...]
+    tex: str
+    coordinates: tuple[str, ...]
+
+    def _repr_latex_(self) -> str:
+        return f"${self.tex}$"
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Return pairs of a text and a formula as plain text: velocities, then rates of w."""
+        velocities = self.E * sympy.Matrix(self.w) + self.e
+        named = [(f"v_{name}", x) for name, x in zip(self.coordinates, velocities)]
+        named += [(f"rate of {x}", rate) for x, rate in zip(self.w, self.rates)]
+        return [(name, str(x).replace("**", "^").replace("*", " ")) for name, x in named]
+
+
+def _free(taken: set[str], count: int) -> str:
+    """Return a letter whose numbered names are not taken."""
+    letters = ("w", "omega", "quasi")
+    return next(x for x in letters if not {f"{x}{i + 1}" for i in range(count)} & taken)
+
+
+def equations(model: Model) -> Equations:
+    """Return the equations of a model, in the user's names.
+
+    Raises
+    ------
+    NotImplementedError
+        If no basis of D is found in closed form.
+    """
+    try:
+        found = model.reduced
+    except NotReduced as reason:
+        raise NotImplementedError(f"no equations on D in closed form: {reason}") from None
+    if not agrees(model, found):
+        raise NotImplementedError("the equations on D that were found are wrong; please report it")
+    n, k = model.n, len(found.w)
+    read = model.derived.read
+    taken = {*model.coordinates, *model.parameters, *model.inputs}
+    w = tuple(sympy.Symbol(f"{_free(taken, k)}{i + 1}", real=True) for i in range(k))
+    names = dict(zip(map(read.formula, found.w), w)) | {TIME: Time()}
+    parts = (found.E, found.e, found.rates)
+    canonical = [[read.formula(x) for x in part] for part in parts]
+    E, e, rates = (
+        sympy.Matrix(n if i < 2 else k, k if i == 0 else 1, part)
+        for i, part in enumerate(canonical)
+    )
+    tex = writer(model, dict(zip(map(read.formula, found.w), map(sympy.latex, w))))
+    column = sympy.Matrix([read.formula(x) for x in found.w])
+    shift = f" + {tex(e)}" if any(x != 0 for x in e) else ""
+    lines = [
+        rf"\dot q &= {tex(E)} {tex(column)}{shift}",
+        *(rf"\dot {tex(x)} &= {tex(rate)}" for x, rate in zip(column, rates)),
+    ]
+    text = r"\begin{aligned}" + r" \\ ".join(lines) + r"\end{aligned}"
+    E, e, rates = (model.shown(x).xreplace(names) for x in (E, e, rates))
+    return Equations(w, E, e, rates, found.how, text, model.coordinates)
