@@ -37,7 +37,7 @@ FINE, FINE_STEP = "leapfrog-kl8", 0.05
 FPS, FRAMES = 20, 120  # of the film
 ON_D = (
     "The velocities in a basis of the kernel of the constraints, in closed form, and the rates of "
-    "their components w (Hamel's equations). The scheme `taylor` integrates them."
+    "their components w (Hamel's equations). The scheme \"taylor\" integrates them."
 )
 
 
@@ -200,9 +200,7 @@ def _sections(system: System, run: Solution) -> Iterator[web.Section]:
     yield "In motion", "", film_page.frame(scene, FPS, trail=True)
     yield "The run", "", web.side_by_side(_pictures(system, run))
     if rows := panels.on_D(system):
-        table = Table(["", ""], rows, 2, style="formulas")
-        page = web.render("table.html", table=table, coordinates=system.coordinates)
-        yield "Equations on D", ON_D, page
+        yield "Equations on D", ON_D, [("", "", Table(["", ""], rows, 2, style="formulas"))]
     yield "What it is", "", [("", "", Table(["", ""], _facts(system), 2, style="facts"))]
     yield "Parameters and initial data", "", [*_given(system)]
     invariants, words, table = _invariants(system, runs)
