@@ -55,6 +55,16 @@ class Equations(NamedTuple):
         return [(name, str(x).replace("**", "^").replace("*", " ")) for name, x in named]
 
 
+_LONG = 120  # operations of a formula that is factored
+
+
+def _factored(e: Expr) -> Expr:
+    """Return a formula in factors, if that is shorter."""
+    if not 0 < e.count_ops() <= _LONG:
+        return e
+    return min(e, sympy.factor(e), key=lambda x: x.count_ops())
+
+
 def _free(taken: set[str], count: int) -> str:
     """Return a letter whose numbered names are not taken."""
     letters = ("w", "omega", "quasi")
@@ -81,7 +91,7 @@ def equations(model: Model) -> Equations:
     w = tuple(sympy.Symbol(f"{_free(taken, k)}{i + 1}", real=True) for i in range(k))
     names = dict(zip(map(read.formula, found.w), w)) | {TIME: Time()}
     parts = (found.E, found.e, found.rates)
-    canonical = [[read.formula(x) for x in part] for part in parts]
+    canonical = [[_factored(read.formula(x)) for x in part] for part in parts]
     E, e, rates = (
         sympy.Matrix(n if i < 2 else k, k if i == 0 else 1, part)
         for i, part in enumerate(canonical)
