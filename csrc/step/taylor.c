@@ -52,8 +52,8 @@ enum { INSIDE = 3 };
  * system that depends on time a force may come at any moment, so pieces grow more slowly. */
 static const double LONGEST = 8.0, LONGEST_IN_TIME = 2.0;
 
-/* What the slopes may differ by, relative to their size, at most. */
-static double allowed_slope(double tolerance) { return fmax(sqrt(tolerance), 1e-10); }
+/* The slopes may differ by the root of the tolerance, relative to their size, or by this. */
+static const double LEAST_ALLOWED = 1e-10;
 
 /* Pivots of C below so many times the tolerance may be errors of the steps, as in flow.c. */
 static const double PER_TOLERANCE = 10.0;
@@ -71,9 +71,11 @@ typedef struct taylor {
     const dal_series *series;
     size_t n, states, width, order, inputs, exact;
     double tolerance, log_tolerance; /* of the coefficients; its binary logarithm */
+    double allowed_slope;
     double t, end;           /* the times where the piece begins and ends */
     double unit;             /* that of the coefficients; 0: not known */
     double last_length;      /* of the piece before; 0: there was none */
+    double next_unit;        /* of the coefficients after this piece, if they are known; or 0 */
     double *y, *low;         /* [width] where the piece begins; the part below the last digit */
     double *row, *row_low;   /* [width] the same at the state that was given last */
     double *change, *slope;  /* [width] */
@@ -83,7 +85,7 @@ typedef struct taylor {
     double *side, *crossed;  /* [switches] of series.h; the order of their zeros at t, 0 for none */
     double *none;            /* [switches] zeros */
     size_t switched;         /* the switch at which the piece ends, or the number of switches */
-    double *coefficients, *rates, *work; /* aligned to ALIGNED */
+    double *coefficients, *next, *work; /* aligned to ALIGNED */
     bool going;              /* the piece leads on from x, */
     bool stale;              /* but its coefficients are not those of y */
     bool fresh;              /* x is that of a saved state, and not known yet */
@@ -120,6 +122,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
                     .width = series->width, .inputs = def->inputs,
                     .tolerance = pow(tolerance, POWER)}, *self;
     shape.log_tolerance = log2(shape.tolerance);
+    shape.allowed_slope = fmax(sqrt(shape.tolerance), LEAST_ALLOWED);
     shape.order = order_for(-log(shape.tolerance));
     if (series->abi != DAL_SERIES_ABI)
         return dal__fail(error, DAL_EINVAL, "series: number %u, expected %u; compile the system "
@@ -129,13 +132,12 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     DAL__RESERVE(&memory, shape.width, &shape.y, &shape.low, &shape.row, &shape.row_low,
-                 &shape.from, &shape.from_low, &shape.slope);
-    DAL__RESERVE(&memory, shape.width + spare, &shape.change);
+                 &shape.from, &shape.from_low);
+    DAL__RESERVE(&memory, shape.width + spare, &shape.change, &shape.slope);
     DAL__RESERVE(&memory, 2 * def->n, &shape.x);
     DAL__RESERVE(&memory, def->inputs, &shape.input);
     DAL__RESERVE(&memory, series->switches, &shape.side, &shape.crossed, &shape.none);
-    DAL__RESERVE(&memory, rows * shape.width + spare, &shape.coefficients);
-    DAL__RESERVE(&memory, 2 * shape.width + spare, &shape.rates);
+    DAL__RESERVE(&memory, rows * shape.width + spare, &shape.coefficients, &shape.next);
     DAL__RESERVE(&memory, rows * series->room + spare, &shape.work);
     status = dal__allocate(&memory, error);
     if (status) return status;
@@ -143,8 +145,9 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     self->arena = memory;
     motion->guards->allowed = PER_TOLERANCE * tolerance;
     self->change = aligned(self->change);
+    self->slope = aligned(self->slope);
     self->coefficients = aligned(self->coefficients);
-    self->rates = aligned(self->rates);
+    self->next = aligned(self->next);
     self->work = aligned(self->work);
     *method = self;
     return DAL_SUCCESS;
@@ -160,7 +163,7 @@ static void start(void *method, dal_motion *motion)
     taylor *const self = method;
     (void)motion;
     self->going = self->fresh = false;
-    self->unit = self->last_length = 0.0;
+    self->unit = self->last_length = self->next_unit = 0.0;
 }
 
 /* ---- compensated sums -------------------------------------------------------------------- */
@@ -187,10 +190,10 @@ static void state_at(taylor *self, double s, double *y, double *low)
 /* ---- a piece ----------------------------------------------------------------------------- */
 
 /* The coefficients of a state up to an order. */
-static void expand(taylor *self, const dal_motion *motion, double t, const double *y,
+static void expand(taylor *self, const dal_motion *motion, double t, double unit, const double *y,
                    const double *low, size_t order, double *coefficients)
 {
-    const dal_series_at at = {.t = t, .unit = self->unit, .exact = self->exact, .y = y,
+    const dal_series_at at = {.t = t, .unit = unit, .exact = self->exact, .y = y,
                               .low = low, .u = self->input, .side = self->side,
                               .crossed = t == self->t ? self->crossed : self->none};
     self->series->expand(&at, order, coefficients, self->work, motion->system->def.ctx);
@@ -200,7 +203,15 @@ static void expand(taylor *self, const dal_motion *motion, double t, const doubl
 /* Those of the piece. */
 static void expand_here(taylor *self, const dal_motion *motion)
 {
-    expand(self, motion, self->t, self->y, self->low, self->order, self->coefficients);
+    if (self->next_unit > 0.0) {
+        double *const known = self->next;
+        self->next = self->coefficients;
+        self->coefficients = known;
+        self->next_unit = 0.0;
+    } else {
+        expand(self, motion, self->t, self->unit, self->y, self->low, self->order,
+               self->coefficients);
+    }
 }
 
 /* log2 x for a normal x > 0, between powers of 2 by a straight line, so at most 0.09 too small; 2^x
@@ -275,7 +286,7 @@ static int fail_not_finite(taylor *self, dal_motion *motion)
         if (!isfinite(mech->point[i]))
             return dal__fail(motion->error, DAL_EDOMAIN, "the motion leaves the range of numbers "
                              "after t = %.17g", t);
-    const int status = dal__field(mech, t, mech->point, self->rates);
+    const int status = dal__field(mech, t, mech->point, self->slope);
     if (status) return status;
     return dal__fail(motion->error, DAL_EDOMAIN, "the Taylor series are not finite at t = %.17g, "
                      "where a function is not analytic, or the motion comes to an end; the scheme "
@@ -430,42 +441,58 @@ static size_t switch_at_hand(const taylor *self, double direction)
     return self->series->switches;
 }
 
-/* Whether the polynomial of the piece solves the ODE at a time in it. */
-static bool solves_at(taylor *self, const dal_motion *motion, double t)
+/* Whether the slope of a state at s units is what its rate there is, but for roundoff of the state.
+ */
+static bool is_slope(const taylor *self, size_t i, double s, double rate)
 {
-    const size_t width = self->width;
-    const double s = (t - self->t) / self->unit;
+    const double difference = fabs(self->slope[i] - rate);
+    double size = fabs(rate);
+    for (size_t k = 1; k <= 3; k++) {
+        const double other = fabs(self->coefficients[k * self->width + i]);
+        if (other > size) size = other;
+    }
+    if (!isfinite(difference) || !isfinite(size)) return false;
+    if (difference <= self->allowed_slope * size) return true;
+    const bool is_q = i < self->n;
+    const double largest = is_q ? dal__largest(self->n, self->y)
+                                : dal__largest(self->states - self->n, self->y + self->n);
+    return difference * fabs(s) <= DAL_ROUNDOFF * (double)self->order * largest;
+}
+
+/* Whether the polynomial of the piece solves the ODE at a time in it: self->from <- the state there,
+ * self->next <- its coefficients up to an order. */
+static bool solves_at(taylor *self, const dal_motion *motion, double t, double unit, size_t order)
+{
+    const double s = (t - self->t) / self->unit, ratio = self->unit / unit;
     state_at(self, s, self->from, self->from_low);
     if (!dal__all_finite(self->states, self->from)) return false;
-    expand(self, motion, t, self->from, self->from_low, 1, self->rates);
-    memset(self->slope, 0, width * sizeof(double));
-    for (size_t k = self->order; k > 0; k--)
-        for (size_t i = 0; i < width; i++)
-            self->slope[i] = self->slope[i] * s + (double)k * self->coefficients[k * width + i];
-    for (size_t i = 0; i < self->states; i++) {
-        double size = fabs(self->rates[width + i]);
-        for (size_t k = 1; k <= 3; k++)
-            size = fmax(size, fabs(self->coefficients[k * width + i]));
-        const bool is_q = i < self->n;
-        const double *const kind = self->y + (is_q ? 0 : self->n);
-        const double roundoff = DAL_ROUNDOFF * (double)self->order
-                              * dal__largest(is_q ? self->n : self->states - self->n, kind);
-        const double difference = fabs(self->slope[i] - self->rates[width + i]);
-        if (!isfinite(size) || !(difference <= allowed_slope(self->tolerance) * size
-                                 || difference * fabs(s) <= roundoff)) return false;
-    }
+    expand(self, motion, t, unit, self->from, self->from_low, order, self->next);
+    self->series->slope(self->order, s, self->coefficients, self->slope);
+    for (size_t i = 0; i < self->states; i++)
+        if (!is_slope(self, i, s, ratio * self->next[self->width + i])) return false;
     return true;
 }
 
-/* The same at its end, and inside if there is doubt. */
-static bool solves(taylor *self, const dal_motion *motion, bool is_doubtful)
+/* The unit of the coefficients after a piece that had room for a length. */
+static double unit_after(const taylor *self, double length)
 {
-    bool found = solves_at(self, motion, self->end);
-    for (int k = 1; found && is_doubtful && k <= INSIDE; k++) {
+    const double relative = length / self->unit;
+    return relative < 0.25 || relative >= 2.0 ? power_of_2(length) : self->unit;
+}
+
+/* The same inside, if there is doubt, and at its end, where the next piece begins. */
+static bool solves(taylor *self, const dal_motion *motion, double length, bool is_doubtful)
+{
+    const bool goes_on = self->switched == self->series->switches && self->series->in_D;
+    const double unit = goes_on ? unit_after(self, length) : self->unit;
+    for (int k = 1; is_doubtful && k <= INSIDE; k++) {
         const double part = (double)k / (INSIDE + 1.0);
-        found = solves_at(self, motion, self->t + part * (self->end - self->t));
+        const double t = self->t + part * (self->end - self->t);
+        if (!solves_at(self, motion, t, self->unit, 1)) return false;
     }
-    return found;
+    if (!solves_at(self, motion, self->end, unit, goes_on ? self->order : 1)) return false;
+    if (goes_on) self->next_unit = unit;
+    return true;
 }
 
 /* On the other side of the switch at which the piece ends.  Returns false if it has just been
@@ -491,9 +518,9 @@ static bool shorten(taylor *self, const dal_motion *motion, double *units, doubl
     for (int k = 0; k <= HALVINGS; k++, length *= 0.5) {
         self->end = self->t + direction_of(motion) * length;
         if (self->end == self->t) return false;
-        if (solves(self, motion, is_doubtful)) {
-            self->last_length = *units < HUGE_VAL ? *units * self->unit
-                                                  : fmax(length, self->unit);
+        const double room = *units < HUGE_VAL ? *units * self->unit : fmax(length, self->unit);
+        if (solves(self, motion, room, is_doubtful)) {
+            self->last_length = room;
             return true;
         }
         *units = 0.5 * length / self->unit;
@@ -558,13 +585,16 @@ static int next_piece(taylor *self, dal_motion *motion, double until)
     int status = dal__creep_check(&guards->creep, self->t, fabs(until - self->t), motion->error);
     if (!status) status = dal__ask(&self->watch, self->t, motion->error);
     if (status) return status;
-    state_at(self, (self->end - self->t) / self->unit, self->y, self->low);
+    if (self->next_unit == 0.0)
+        state_at(self, (self->end - self->t) / self->unit, self->from, self->from_low);
+    memcpy(self->y, self->from, self->width * sizeof(double));
+    memcpy(self->low, self->from_low, self->width * sizeof(double));
     const bool is_far = fabs(self->end - self->t) > NEAR * DAL_ROUNDOFF * fabs(self->end);
     self->t = self->end;
     for (size_t i = 0; is_far && i < self->series->switches; i++) self->crossed[i] = 0.0;
+    if (!is_far) self->next_unit = 0.0;
     if (!cross(self)) return fail_to_slide(self, motion);
-    const double relative = self->last_length / self->unit;
-    if (relative < 0.25 || relative >= 2.0) self->unit = power_of_2(self->last_length);
+    self->unit = unit_after(self, self->last_length);
     if (!self->series->in_D) status = stay_in_D(self, motion);
     if (!status) status = begin_piece(self, motion);
     if (status) return status;
@@ -598,7 +628,7 @@ static int begin(taylor *self, dal_motion *motion, double t)
     if (!same)
         self->series->quasi(t, motion->x, self->input, self->y + n, motion->system->def.ctx);
     self->t = self->row_t = t;
-    self->last_length = 0.0;
+    self->last_length = self->next_unit = 0.0;
     for (size_t i = 0; i < self->series->switches; i++) self->side[i] = self->crossed[i] = 0.0;
     if (self->unit == 0.0) self->unit = power_of_2(fabs(motion->h));
     memcpy(self->x, motion->x, 2 * n * sizeof(double));
@@ -718,6 +748,7 @@ static void restore(void *method, const double *values)
         self->crossed[i] = *values++;
     }
     self->switched = (size_t)values[0];
+    self->next_unit = 0.0;
     self->going = self->stale = self->fresh = values[1] == 1.0;
 }
 

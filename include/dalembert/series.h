@@ -54,6 +54,8 @@ typedef struct dal_series {
     void (*decay)(size_t order, const double *Y, double *decay);
     /* change[width] <- y(t + s unit) - y(t) by the coefficients up to an order. */
     void (*sum)(size_t order, double s, const double *Y, double *change);
+    /* slope[width] <- dy/ds at t + s unit. */
+    void (*slope)(size_t order, double s, const double *Y, double *slope);
     /* v[n] <- the velocity of y; w[states - n] <- that of x[2n]. */
     void (*velocity)(double t, const double *y, const double *u, double *v, const void *p);
     void (*quasi)(double t, const double *x, const double *u, double *w, const void *p);
@@ -123,6 +125,26 @@ DAL_LU_INLINE void dal_series_sum(size_t width, size_t order, double s, const do
         }
         if (k == 1) one = one * square + at[vectors];
         ((dal_four *)change)[c] = k == 1 ? one * s + other * square : one * square + other * s;
+    }
+}
+
+DAL_LU_INLINE void dal_series_slope(size_t width, size_t order, double s, const double *Y,
+                                    double *slope)
+{
+    const dal_four *const coefficients = (const dal_four *)Y;
+    const size_t vectors = width / 4;
+    const double square = s * s;
+    for (size_t c = 0; c < vectors; c++) {
+        const dal_four *const at = coefficients + c;
+        dal_four one = (double)order * at[order * vectors];
+        dal_four other = (double)(order - 1) * at[(order - 1) * vectors];
+        size_t k = order - 2;
+        for (; k > 1; k -= 2) {
+            one = one * square + (double)k * at[k * vectors];
+            other = other * square + (double)(k - 1) * at[(k - 1) * vectors];
+        }
+        if (k == 1) one = one * square + at[vectors];
+        ((dal_four *)slope)[c] = k == 1 ? one + other * s : one * s + other;
     }
 }
 

@@ -423,7 +423,7 @@ def expansion(made: Program, model: Model, motion: Motion) -> None:
     made.add(
         "static const dal_series model_series = {\n"
         f"    DAL_SERIES_ABI, {', '.join(map(str, (*sizes, *flags)))},\n"
-        "    model_expand, model_decay, model_sum, model_velocity, model_quasi};\n"
+        "    model_expand, model_decay, model_sum, model_slope, model_velocity, model_quasi};\n"
         "#define MODEL_SERIES &model_series\n#else\n#define MODEL_SERIES NULL\n#endif\n"
     )
 
@@ -443,6 +443,11 @@ _SUMS = """static void model_decay(size_t order, const double *Y, double *decay)
 static void model_sum(size_t order, double s, const double *Y, double *change)
 {{
     dal_series_sum({width}, order, s, Y, change);
+}}
+
+static void model_slope(size_t order, double s, const double *Y, double *slope)
+{{
+    dal_series_slope({width}, order, s, Y, slope);
 }}
 """
 
