@@ -102,7 +102,11 @@ class Compiler:
 
 def find() -> Compiler | None:
     """Return the C compiler, or None if there is none."""
-    wanted = os.environ.get("CC", "")
+    return _find(os.environ.get("CC", ""), os.environ.get("PATH", ""))
+
+
+@functools.lru_cache(maxsize=8)
+def _find(wanted: str, _path: str) -> Compiler | None:
     for candidate in [shlex.split(wanted)] if wanted.strip() else [["cc"], ["gcc"], ["clang"]]:
         path = shutil.which(candidate[0])
         if path is not None:

@@ -326,7 +326,10 @@ def doubt_start(system: System, x: Array, t: float, consistency: int = lib.DAL_C
 
 def _warn_of_drift(solution: Solution) -> None:
     """Warn if a run has drifted off a position constraint that its initial data satisfied."""
-    system, q, t = solution.system, solution.q, solution.t
+    system = solution.system
+    if system._model is None or not system._model.positions:
+        return
+    q, t = solution.q, solution.t
     if not system.off_positions(q[0], t[0]) and (off := system.off_positions(q[-1], t[-1])):
         _say(
             f"the run has drifted off a position constraint: {off}; the steps "

@@ -106,7 +106,8 @@ def reference(
                 "coordinates: not supported by method = 'taylor'; choose rk8pd, msadams or rodas"
             )
         return _by_series(system, x0, t0, t, tolerance, consistent, acting)
-    flow = system._c("flow", flow_method, coordinate, tolerance)
+    compiled = Scheme.find("reference")._stepped(system)
+    flow = compiled._c("flow", flow_method, coordinate, tolerance)
     core.call(system.kind, lib.dal_flow_input, flow, acting)
     x = consistent_state(system, x0, t0, consistency, acting)
     accuracy = np.empty(1)

@@ -88,8 +88,10 @@ def consistent_state(
 ) -> Array:
     """Return the state from which every scheme would start, shape (2n,)."""
     scheme = Scheme.find("explicit")
+    handle = system._handle  # it makes no step, for which something would have to be compiled
+    own = core.make("stepper", handle, scheme._record, ffi.NULL, owner=handle)
     stepper = started_stepper(
-        system, scheme, x0, t0=t0, h=1.0, consistency=consistency, inputs=inputs
+        system, scheme, x0, t0=t0, h=1.0, consistency=consistency, inputs=inputs, idle=[own]
     )
     return core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
 

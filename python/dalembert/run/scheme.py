@@ -315,7 +315,7 @@ class Scheme:
         for key, value in values.items():
             object.__setattr__(self, key, value)
 
-    @property
+    @functools.cached_property
     def family(self) -> str:
         """The family of the steps: "beta", "pair", "flow", "taylor", or that of a library."""
         return core.string(lib.dal_scheme_family(self._record))
@@ -342,8 +342,8 @@ class Scheme:
         return record, (self, data, kept)
 
     def _stepped(self, system: System) -> System:
-        """Return the system of the steps: for "taylor" the twin that has the series, if any."""
-        found = twin(system, "series") if self.family == "taylor" else None
+        """Return the system compiled for the steps, itself if there is none."""
+        found = twin(system, "series" if self.family == "taylor" else "steps")
         return system if found is None else found
 
     def is_explicit(self, system: System) -> bool:

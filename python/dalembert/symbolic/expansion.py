@@ -46,6 +46,8 @@ class Writer:
         states = list(series.states)
         live = [e for e in series.nodes if series.degree[e] > 0]
         found += [f"const double r{self._number[e]} = {x};" for e in live if (x := self._over(e))]
+        found += [f"const double g{self._number[e]} = {self._part(e.args[1])} * "
+                  f"{self.zeroth(e)} * r{self._number[e]};" for e in live if e.op == "power"]
         found += [f"const double f{self._number[e]} = {self._slope(e)};" for e in live
                   if series.degree[e] == 1]  # fmt: skip
         found += [f"double b{self._number[e]} = {self.zeroth(e)};" for e in self._before()]
@@ -311,9 +313,8 @@ class Writer:
         if op == "sqrt":
             return f"({k[0]} - {M[0]}) * {over}"
         if op == "power":
-            exponent, own = zero[1], self.zeroth(e)
-            rest = f"dal_series_over({exponent} * {M[0]} - {M[1]}, exact, number, inverse)"
-            return f"({exponent} * {k[0]} * {own} + {rest}) * {over}"
+            rest = f"dal_series_over({zero[1]} * {M[0]} - {M[1]}, exact, number, inverse)"
+            return f"{k[0]} * g{self._number[e]} + {rest} * {over}"
         if op == "atan2":
             one = f"{k[0] or '0.0'} * {zero[1]} - {k[1] or '0.0'} * {zero[0]}"
             rest = f"dal_series_over({M[0]} - {M[1]} - {M[2]}, exact, number, inverse)"

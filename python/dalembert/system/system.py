@@ -163,6 +163,8 @@ class System(Handle):
     array([-2.])
     """
 
+    _progress: Progress | None = None  # of compiling
+
     @method(SystemOptions)
     def __init__(self, *args: Any, **given: Any) -> None:
         if hasattr(self, "_handle"):
@@ -195,9 +197,10 @@ class System(Handle):
     def from_sympy(cls, *args: Any, **given: Any) -> System:
         """Return the system defined by SymPy expressions for the Lagrangian and the constraints.
 
-        The expressions are differentiated and compiled to C, together with the step routine, and
-        the result is cached (see `dalembert.compiler`).  Parameters remain free: `with_parameters`
-        does not compile again.
+        The expressions are differentiated and compiled to C.  The first run compiles its part of
+        the steps too: Taylor series, or the routine of the other schemes, which takes longest.  All
+        of it is cached (see `dalembert.compiler`).  Parameters remain free: `with_parameters` does
+        not compile again.
 
         A term is dropped only if it is proved to be zero; walls such as ``Max(0, x - 2)**2`` are
         kept.  A ``Piecewise`` is differentiated piece by piece: a jump exerts no force.  Outside
@@ -245,7 +248,9 @@ class System(Handle):
         first = [values.pop(name) for name in ("L", "constraints", "coordinates", "parameters")]
         taken = symbolic.given.take(*first, **values)
         with compiler.showing(asked.progress):
-            return cls._of(sources.Expressions(about=about, **taken), asked.units)
+            made = cls._of(sources.Expressions(about=about, **taken), asked.units)
+        made._progress = asked.progress
+        return made
 
     @classmethod
     def from_lagranges_method(

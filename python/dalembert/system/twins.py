@@ -1,4 +1,4 @@
-"""The same systems, compiled for Taylor series or for several members at once."""
+"""The same systems, compiled for steps, for several members at once, or for Taylor series."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import functools
 
 import numpy as np
 
-from .. import geometry
+from .. import compiler, geometry
 from ..core import DalembertError, extras
 from ..symbolic import codegen, expressions
 from .sources import BuiltIn, Expressions
@@ -28,9 +28,12 @@ def twin(system: System, part: str) -> System | None:
         return None
     source = system._source
     if isinstance(source, Expressions):
-        fits = _fits(source.model, part)
-        return System._of(dataclasses.replace(source, part=part)) if fits else None
-    if not isinstance(source, BuiltIn) or system.q0 is None:
+        fits = not source.part and _fits(source.model, part)
+        if not fits:
+            return None
+        with compiler.showing(system._progress):
+            return System._of(dataclasses.replace(source, part=part))
+    if part == "steps" or not isinstance(source, BuiltIn) or system.q0 is None:
         return None
     with contextlib.suppress(ValueError, ArithmeticError, DalembertError):
         model = expressions.model(system)
@@ -47,7 +50,9 @@ def twin(system: System, part: str) -> System | None:
 
 
 def _fits(model: object, part: str) -> bool:
-    return part != "lanes" or bool(codegen.has_lanes(model))
+    """Return whether a part makes a difference for a model, and there is a compiler for it."""
+    wanted = {"steps": codegen.has_steps, "lanes": codegen.has_lanes}.get(part)
+    return compiler.find() is not None and (wanted is None or bool(wanted(model)))
 
 
 def _same(system: System, other: System) -> bool:
