@@ -29,7 +29,8 @@ ACCURACIES = ("1e-3", "1e-6", "1e-9", "1e-11")
 ROUNDS = 5  # of which the median counts
 NEAR = 1.2  # times the time of the fastest: to be chosen as well
 BEGIN, END = "<!-- by benchmarks/choose.py -->\n\n", "\n<!-- to here -->\n"
-ORDER = ("base", "bm4", "bm6", "kl6", "kl8", "ss10", "bm6, auto", "kl8, auto", "reference")
+ORDER = ("base", "bm4", "bm6", "kl6", "kl8", "ss10", "bm6, auto", "kl8, auto", "reference",
+         "taylor")  # fmt: skip
 
 
 def springs_with_magnet() -> dal.System:

@@ -5,6 +5,7 @@ On the ODE for (q, v), and on that in a basis of D, which the motion cannot leav
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
@@ -41,7 +42,7 @@ def _method(hy: ModuleType, ode: Ode) -> Method:
     with stopwatch() as derived:
         field = [(known[x], expression(hy, f, known))
                  for x, f in zip(ode.symbols, ode.rates)]  # fmt: skip
-    flows = {}
+    flows, bare = {}, []
     with stopwatch() as compiled:
         for tolerance in TOLERANCES:
             flows[tolerance] = hy.taylor_adaptive(
@@ -53,9 +54,11 @@ def _method(hy: ModuleType, ode: Ode) -> Method:
         flow.time = times[0]
         flow.state[:] = ode.into(state)
         if len(times) == 2:
+            begun = time.perf_counter()
             flow.propagate_until(times[1])
+            bare.append(time.perf_counter() - begun)
             return ode.out_of(flow.state[None].copy())
         return ode.out_of(flow.propagate_grid(times)[-1][1:])
 
     return Method(f"heyoka{ode.name}", "tolerance", TOLERANCES, solve,
-                  derived[0] + compiled[0] / len(TOLERANCES))  # fmt: skip
+                  derived[0] + compiled[0] / len(TOLERANCES), bare=bare)  # fmt: skip

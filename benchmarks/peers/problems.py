@@ -250,13 +250,15 @@ def snakeboard() -> Problem:
 
 
 def gyroscopic() -> Problem:
+    """In D the field is 1 + x + y: no reflection of x, y or both turns the motion around."""
     plain = springs()
-    (x, _, _), (_, _, w) = plain.q, plain.v
+    (x, y, _), (_, v, _) = plain.q, plain.v
     return Problem(
-        "gyroscopic", "springs with a gyroscopic term",
-        "that of the particle on springs with `x² z'` added to L: conservative, not reversible",
-        plain.q, plain.v, plain.L + x**2 * w, plain.constraints, plain.q0, plain.v0, plain.basis,
-        reversible=False,
+        "gyroscopic", "springs in a magnetic field",
+        "that of the particle on springs with `(x + x²/2 + x y) y'` added to L: conservative, not "
+        "reversible",
+        plain.q, plain.v, plain.L + (x + x**2 / 2 + x * y) * v, plain.constraints, plain.q0,
+        plain.v0, plain.basis, reversible=False,
     )  # fmt: skip
 
 

@@ -30,6 +30,7 @@ import random  # noqa: E402
 import statistics  # noqa: E402
 import tempfile  # noqa: E402
 import time  # noqa: E402
+from collections.abc import Iterable  # noqa: E402
 from dataclasses import dataclass  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
@@ -44,6 +45,7 @@ PEERS = ("dalembert", "heyoka", "gsl", "scipy", "sundials", "exudyn", "odelab")
 PACKAGES = ("dalembert", "heyoka", "scipy", "scikit-sundae", "exudyn", "numba", "numpy", "sympy")
 CALL = 20  # of these samples come from one call
 WARM = 0.02  # calls that take less are made once more before, so that caches are warm
+BARE = 25  # rounds of the integrators alone
 SAMPLES = 200  # of the energy, from each power of ten to the next
 WORK = 1000.0  # T of the runs that say what an error of the energy costs
 
@@ -127,6 +129,8 @@ def state_errors(problem: Problem, methods: list[Method], effort: Effort) -> dic
     for key, all_seconds in seconds.items():
         points[key]["median"] = statistics.median(all_seconds)
         points[key]["minimum"] = min(all_seconds)
+    for key, least in bare_seconds(methods, seconds, start, times).items():
+        points[key]["bare"] = least
     return {
         method.name: {
             "kind": method.kind, "order": method.order, "compile": method.compile_seconds,
@@ -134,6 +138,19 @@ def state_errors(problem: Problem, methods: list[Method], effort: Effort) -> dic
         }
         for i, method in enumerate(methods)
     }  # fmt: skip
+
+
+def bare_seconds(methods: list[Method], keys: Iterable[tuple[int, float]], start: np.ndarray,
+                 times: np.ndarray) -> dict[tuple[int, float], float]:  # fmt: skip
+    """Return the least seconds of the integrators alone, without the call around them."""
+    found: dict[tuple[int, float], float] = {}
+    mine = [key for key in keys if methods[key[0]].bare is not None]
+    for _ in range(BARE):
+        for i, setting in mine:
+            methods[i].bare.clear()
+            attempt(methods[i], setting, start, times)
+            found[i, setting] = min([found.get((i, setting), np.inf), *methods[i].bare])
+    return found
 
 
 # ---- the energy up to t = 1e7 ----------------------------------------------------------------

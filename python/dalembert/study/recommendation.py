@@ -41,7 +41,7 @@ class Tried:
     h : float or "auto"
         At most ``abs(t_end - t0) / 100`` if it is a number.
     tolerance : float or None
-        Tolerance of "auto" or of the reference flow.
+        Tolerance of "auto", "reference" or "taylor".
     steps : int
         Number of steps to t_end.
     error : float
@@ -214,7 +214,7 @@ def _with_stride(one: Tried, span: float) -> Tried:
 
 def _stride(one: Tried) -> int:
     """Return the stride for at most MOST_ROWS stored states."""
-    return 1 if one.scheme == "reference" else math.ceil(one.steps / MOST_ROWS)
+    return 1 if Scheme.find(one.scheme).is_flow else math.ceil(one.steps / MOST_ROWS)
 
 
 def _rank(one: Tried, accuracy: float) -> tuple[bool, float]:
@@ -257,6 +257,8 @@ class _Pilot:
     def __init__(self, system: System, x0: Array, t0: float, t_end: float, inputs: Any) -> None:
         self.system, self.x0, self.t0, self.t_end, self.inputs = system, x0, t0, t_end, inputs
         base = self.base = Scheme.usual(system).name
+        compiled = [Scheme.find(name)._stepped(system) for name in (base, "taylor")]
+        self.has_series = compiled[1] is not system
         begin = time.thread_time()
         first = self.run(
             f"{base}-kl8", t_end, h="auto", tolerance=1e-8,
@@ -334,7 +336,8 @@ def _try_all(pilot: _Pilot, accuracy: float) -> Iterator[Tried]:
         yield _with_tolerance(pilot, name, "auto", accuracy)
     span = pilot.t_end - pilot.t0
     rows = math.ceil(abs(span) / pilot.h)
-    yield _with_tolerance(pilot, "reference", span / min(max(rows, ROWS), MOST_ROWS), accuracy)
+    for name in ("reference", *["taylor"] * pilot.has_series):
+        yield _with_tolerance(pilot, name, span / min(max(rows, ROWS), MOST_ROWS), accuracy)
 
 
 def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> Tried:
