@@ -36,7 +36,7 @@ def main(program: str, *arguments: str) -> int:
         for make in SYSTEMS:
             system = make()
             assert system.q0 is not None and system.v0 is not None
-            model = str(evaluation.library(system._model).path)
+            model = str(evaluation.library(system._model, "steps").path)
             state = [*system.q0, *system.project(system.q0, system.v0)]
             words = [repr(float(x)) for x in (*system.parameters.values(), *state)]
             command = [program, make.__name__, model, *words, *arguments]

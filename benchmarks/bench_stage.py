@@ -89,7 +89,7 @@ def main(program: str, source: str) -> int:
         for make in SYSTEMS:
             system = make()
             assert system.q0 is not None and system.v0 is not None
-            model = str(evaluation.library(system._model).path)
+            model = str(evaluation.library(system._model, "steps").path)
             values = system.parameters.values() or [0.3]
             state = [*system.q0, *system.project(system.q0, system.v0)]
             words = [repr(float(x)) for x in (*values, *state)]

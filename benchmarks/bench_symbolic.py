@@ -145,7 +145,7 @@ def main(steps: str, store: str) -> int:
         os.environ["DALEMBERT_CACHE"] = directory
         kept = []
         for i, (make, values) in enumerate(((particle, []), (sleigh, ["0.8"]), (disk, ["0.5"]))):
-            path = str(evaluation.library(make()._model).path)
+            path = str(evaluation.library(make()._model, "steps").path)
             done = subprocess.run([steps, str(i), path, *values], check=False)
             kept.append(done.returncode == 0)
         kept.append(stored_steps(store))

@@ -612,7 +612,7 @@ def outputs(
 ) -> Iterator[tuple[str, Any, Sized]]:
     """Yield all outputs of the compiled functions, each requested alone and with all others."""
     derived, n = system._model.derived, system.n
-    library = evaluation.library(system._model)
+    library = evaluation.library(system._model, "steps")
     assert library is not None, "this needs a C compiler"
     loaded = ctypes.CDLL(str(library.path))
     parameters = np.array([*system.parameters.values(), 0.0])

@@ -92,7 +92,7 @@ def in_c(given: Sequence[Case]) -> list[float]:
     system = dal.System.from_sympy(
         sum(x.d**2 for x in q) / 2, [], q, force=force, parameters=parameters
     )
-    library = evaluation.library(system._model)
+    library = evaluation.library(system._model, "steps")
     assert library is not None, "this needs a C compiler"
     values, zero, found = np.array([*system.parameters.values()]), np.zeros(n), np.full(n, np.nan)
     point = [0.0, *[pointer(zero)] * 3]

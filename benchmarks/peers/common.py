@@ -47,9 +47,9 @@ class Method:
     solve: Callable[[Any, np.ndarray, np.ndarray], np.ndarray]  # setting, state, times -> states
     compile_seconds: float  # what was done beforehand for this problem
     order: int = 0  # of the state in h, for "steps"
-    bare: list[float] | None = None  # where solve adds the seconds of the integrator alone
     usual: float | None = None  # the setting of long runs, where none is as fast as is asked for
     long: bool = True  # whether its energy is followed over long times
+    bare: list[float] | None = None  # where solve adds the seconds of the integrator alone
 
 
 def need(package: str) -> ModuleType:

@@ -1,5 +1,6 @@
 /* Many runs by one stepper, which is started again for each. */
 #include "run/member.h"
+#include "step/taylor.h"
 
 #include <math.h>
 
@@ -64,6 +65,7 @@ static int check_members(const dal_system *system, const dal_options *options,
 static void worker_free(dal__worker *self)
 {
     dal__lanes_free(self->lanes);
+    dal__sides_free(self->sides);
     dal_events_free(self->events);
     dal_mechanics_free(self->mech);
     dal_stepper_free(self->stepper);
@@ -121,6 +123,13 @@ static bool use_lanes(const dal_system *system, const dal_members *members,
         && !(options && options->keep_energy) && !varies(options);
 }
 
+/* The same for motions that are computed four by four. */
+static bool use_sides(const dal__worker *self, const dal_options *options)
+{
+    return use_lanes(self->system, self->members, options) && !self->members->inputs
+        && !(options && options->own_steps) && dal__taylor_has_four(self->stepper);
+}
+
 static int worker_init(dal__worker *self, const dal_system *system, const dal_scheme *scheme,
                        const dal_options *options, size_t input_rows, dal_error *error)
 {
@@ -147,6 +156,8 @@ static int worker_init(dal__worker *self, const dal_system *system, const dal_sc
     if (!status) status = dal_stepper_new(&self->stepper, self->system, scheme, options, error);
     if (!status && (members->energy || members->residual || members->multipliers))
         status = dal_mechanics_new(&self->mech, self->system, error);
+    if (!status && use_sides(self, options))
+        status = dal__sides_new(&self->sides, self, options, error);
     if (!status && self->width > 0)
         status = dal__lanes_new(&self->lanes, self->stepper, error);
     if (!status && members->event_count > 0) status = make_events(self, scheme, list, error);
@@ -177,6 +188,7 @@ int dal_ensemble_run(const dal_system *system, const dal_scheme *scheme, const d
         members->control ? most_input_rows(options, members, first, count) : 0;
     status = worker_init(&self, system, scheme, options, input_rows, error);
     if (!status && self.lanes) dal__batches_run(&self, count);
+    else if (!status && self.sides) dal__sides_run(&self, count);
     else if (!status) run_members(&self, count);
     if (self.stopped) status = dal__fail(error, self.stopped, "%s", self.stepper->error.text);
     worker_free(&self);

@@ -1,4 +1,5 @@
-/* member.h - the members of an ensemble, one by one (member.c) and in lanes (batch.c). */
+/* member.h - the members of an ensemble, one by one (member.c), in lanes (batch.c), and four by four
+ * (side.c). */
 #ifndef DAL__MEMBER_H
 #define DAL__MEMBER_H
 
@@ -14,6 +15,8 @@ typedef struct dal__lane {
     dal_run run;
 } dal__lane;
 
+typedef struct dal__sides dal__sides;
+
 /* Runs the members of a range. */
 typedef struct dal__worker {
     const dal_members *members;
@@ -28,6 +31,7 @@ typedef struct dal__worker {
     dal__lanes *lanes;        /* or NULL, and */
     size_t width;             /* how many there are */
     dal__lane *lane;          /* [width] */
+    dal__sides *sides;        /* or NULL */
     size_t first, member;     /* of the range; the current one */
     size_t rows, reactions;   /* of each member */
     dal_run run;              /* of the member */
@@ -57,5 +61,12 @@ void dal__worker_poll(dal__worker *self, double done, double began);
 
 /* Runs so many members from the first on, in batches of as many as there are lanes. */
 void dal__batches_run(dal__worker *self, size_t count);
+
+/* *sides <- places for members of a worker, whose stepper is one for step/taylor.h. */
+int dal__sides_new(dal__sides **sides, const dal__worker *worker, const dal_options *options,
+                   dal_error *error);
+void dal__sides_free(dal__sides *sides);
+/* The same by them. */
+void dal__sides_run(dal__worker *self, size_t count);
 
 #endif /* DAL__MEMBER_H */

@@ -6,6 +6,7 @@
 #include "dalembert/series.h"
 #include "geometry/geometry.h"
 #include "step/scheme.h"
+#include "step/taylor.h"
 
 #include <math.h>
 #include <string.h>
@@ -47,6 +48,9 @@ static const double SAFETY = 0.96;
  * too. */
 static const double GROWTH = 2.0;
 enum { INSIDE = 3 };
+
+/* Of a unit that suits the coefficients the piece is at least this part, 1/FAR. */
+enum { FAR = 64 };
 
 /* The most units of a piece.  Only last coefficients that are nearly zero would allow more.  In a
  * system that depends on time a force may come at any moment, so pieces grow more slowly. */
@@ -93,7 +97,7 @@ typedef struct taylor {
     arena arena;
 } taylor;
 
-enum { ALIGNED = 64 };
+enum { ALIGNED = 64, FOUR = 4 }; /* FOUR: motions of expand_four */
 
 /* ---- making ------------------------------------------------------------------------------ */
 
@@ -138,7 +142,8 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     DAL__RESERVE(&memory, def->inputs, &shape.input);
     DAL__RESERVE(&memory, series->switches, &shape.side, &shape.crossed, &shape.none);
     DAL__RESERVE(&memory, rows * shape.width + spare, &shape.coefficients, &shape.next);
-    DAL__RESERVE(&memory, rows * series->room + spare, &shape.work);
+    const size_t several = series->expand_four ? FOUR : 1;
+    DAL__RESERVE(&memory, several * rows * series->room + spare, &shape.work);
     status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;
@@ -296,7 +301,7 @@ static int fail_not_finite(taylor *self, dal_motion *motion)
 /* The coefficients at y, in a unit that suits them; *units <- what allowed_units says. */
 static int expand_piece(taylor *self, dal_motion *motion, double *units)
 {
-    enum { TRIES = 80, FAR = 64 };
+    enum { TRIES = 80 };
     for (int k = 0; k < TRIES; k++) {
         expand_here(self, motion);
         *units = allowed_units(self);
@@ -459,17 +464,43 @@ static bool is_slope(const taylor *self, size_t i, double s, double rate)
     return difference * fabs(s) <= DAL_ROUNDOFF * (double)self->order * largest;
 }
 
-/* Whether the polynomial of the piece solves the ODE at a time in it: self->from <- the state there,
- * self->next <- its coefficients up to an order. */
-static bool solves_at(taylor *self, const dal_motion *motion, double t, double unit, size_t order)
+/* self->from <- the state at a time in the piece.  Returns false if it is not finite. */
+static bool look_at(taylor *self, double t)
+{
+    state_at(self, (t - self->t) / self->unit, self->from, self->from_low);
+    return dal__all_finite(self->states, self->from);
+}
+
+/* Whether the polynomial of the piece solves the ODE at a time in it, where self->next has the
+ * coefficients in a unit. */
+static bool has_slopes(taylor *self, double t, double unit)
 {
     const double s = (t - self->t) / self->unit, ratio = self->unit / unit;
-    state_at(self, s, self->from, self->from_low);
-    if (!dal__all_finite(self->states, self->from)) return false;
-    expand(self, motion, t, unit, self->from, self->from_low, order, self->next);
     self->series->slope(self->order, s, self->coefficients, self->slope);
     for (size_t i = 0; i < self->states; i++)
         if (!is_slope(self, i, s, ratio * self->next[self->width + i])) return false;
+    return true;
+}
+
+/* The same, with self->from <- the state there, self->next <- its coefficients up to an order. */
+static bool solves_at(taylor *self, const dal_motion *motion, double t, double unit, size_t order)
+{
+    if (!look_at(self, t)) return false;
+    expand(self, motion, t, unit, self->from, self->from_low, order, self->next);
+    return has_slopes(self, t, unit);
+}
+
+/* The same inside the piece, of so many units, if there is doubt. */
+static bool solves_inside(taylor *self, const dal_motion *motion, double units)
+{
+    const double last = self->last_length;
+    const bool is_doubtful =
+        last == 0.0 || !(units * self->unit <= GROWTH * last) || self->series->is_timed;
+    for (int k = 1; is_doubtful && k <= INSIDE; k++) {
+        const double part = (double)k / (INSIDE + 1.0);
+        const double t = self->t + part * (self->end - self->t);
+        if (!solves_at(self, motion, t, self->unit, 1)) return false;
+    }
     return true;
 }
 
@@ -480,19 +511,32 @@ static double unit_after(const taylor *self, double length)
     return relative < 0.25 || relative >= 2.0 ? power_of_2(length) : self->unit;
 }
 
-/* The same inside, if there is doubt, and at its end, where the next piece begins. */
-static bool solves(taylor *self, const dal_motion *motion, double length, bool is_doubtful)
+/* The same inside and at its end, where the next piece begins; the piece has room for a length. */
+static bool solves(taylor *self, const dal_motion *motion, double units, double room)
 {
     const bool goes_on = self->switched == self->series->switches && self->series->in_D;
-    const double unit = goes_on ? unit_after(self, length) : self->unit;
-    for (int k = 1; is_doubtful && k <= INSIDE; k++) {
-        const double part = (double)k / (INSIDE + 1.0);
-        const double t = self->t + part * (self->end - self->t);
-        if (!solves_at(self, motion, t, self->unit, 1)) return false;
-    }
-    if (!solves_at(self, motion, self->end, unit, goes_on ? self->order : 1)) return false;
+    const double unit = goes_on ? unit_after(self, room) : self->unit;
+    if (!solves_inside(self, motion, units)
+        || !solves_at(self, motion, self->end, unit, goes_on ? self->order : 1)) return false;
     if (goes_on) self->next_unit = unit;
+    self->last_length = room;
     return true;
+}
+
+/* What a piece of so many units has room for: more than its length, if last coefficients of zero
+ * say nothing. */
+static double room_for(const taylor *self, double units, double length)
+{
+    return units < HUGE_VAL ? units * self->unit : fmax(length, self->unit);
+}
+
+/* The most units of a piece; if *units is larger, it is infinite. */
+static double limit(const taylor *self, double *units)
+{
+    const double most = self->series->is_timed ? LONGEST_IN_TIME : LONGEST;
+    if (*units <= most) return *units;
+    *units = HUGE_VAL; /* its length says nothing of the scale of the motion */
+    return most;
 }
 
 /* On the other side of the switch at which the piece ends.  Returns false if it has just been
@@ -509,21 +553,14 @@ static bool cross(taylor *self)
 
 /* Shortens the piece of so many units, in a time of length, until its polynomial solves the ODE.
  * Returns false if then it leads nowhere. */
-static bool shorten(taylor *self, const dal_motion *motion, double *units, double length)
+static bool shorten(taylor *self, const dal_motion *motion, double units, double length)
 {
     enum { HALVINGS = 60 };
-    const double last = self->last_length;
-    const bool is_doubtful =
-        last == 0.0 || !(*units * self->unit <= GROWTH * last) || self->series->is_timed;
     for (int k = 0; k <= HALVINGS; k++, length *= 0.5) {
         self->end = self->t + direction_of(motion) * length;
         if (self->end == self->t) return false;
-        const double room = *units < HUGE_VAL ? *units * self->unit : fmax(length, self->unit);
-        if (solves(self, motion, room, is_doubtful)) {
-            self->last_length = room;
-            return true;
-        }
-        *units = 0.5 * length / self->unit;
+        if (solves(self, motion, units, room_for(self, units, length))) return true;
+        units = 0.5 * length / self->unit;
         self->switched = self->series->switches;
     }
     return false;
@@ -538,11 +575,10 @@ static int begin_piece(taylor *self, dal_motion *motion)
         double units;
         const int status = expand_on_sides(self, motion, &units);
         if (status) return status;
-        const double most = self->series->is_timed ? LONGEST_IN_TIME : LONGEST;
-        if (units > most) units = HUGE_VAL; /* its length says nothing of the scale of the motion */
-        const double length = until_switch(self, direction, fmin(units, most)) * self->unit;
+        const double most = limit(self, &units);
+        const double length = until_switch(self, direction, most) * self->unit;
         self->stale = false;
-        if (shorten(self, motion, &units, length)) return DAL_SUCCESS;
+        if (shorten(self, motion, units, length)) return DAL_SUCCESS;
         if (self->switched == switches) self->switched = switch_at_hand(self, direction);
         if (self->switched == switches) return fail_to_go_on(self, motion, length);
         if (!cross(self)) return fail_to_slide(self, motion);
@@ -578,8 +614,8 @@ static int stay_in_D(taylor *self, dal_motion *motion)
     return status;
 }
 
-/* After a piece: the one that follows on it. */
-static int next_piece(taylor *self, dal_motion *motion, double until)
+/* From a piece to the beginning of the next one. */
+static int leave_piece(taylor *self, dal_motion *motion, double until)
 {
     struct dal__guards *const guards = motion->guards;
     int status = dal__creep_check(&guards->creep, self->t, fabs(until - self->t), motion->error);
@@ -595,15 +631,27 @@ static int next_piece(taylor *self, dal_motion *motion, double until)
     if (!is_far) self->next_unit = 0.0;
     if (!cross(self)) return fail_to_slide(self, motion);
     self->unit = unit_after(self, self->last_length);
-    if (!self->series->in_D) status = stay_in_D(self, motion);
-    if (!status) status = begin_piece(self, motion);
-    if (status) return status;
+    return self->series->in_D ? DAL_SUCCESS : stay_in_D(self, motion);
+}
+
+/* A look at the rank in a piece that is short. */
+static int watch_piece(taylor *self, dal_motion *motion)
+{
+    struct dal__guards *const guards = motion->guards;
     dal__creep_step(&guards->creep, self->t, self->end - self->t);
     if (motion->system->def.m == 0 || !dal__creep_is_short(&guards->creep, self->end - self->t))
         return DAL_SUCCESS;
-    status = find_state(self, motion, self->t, self->y, self->x);
+    const int status = find_state(self, motion, self->t, self->y, self->x);
     return status ? status : dal__rank_look(&guards->rank, motion->mechanics, self->t, 0.0,
                                             guards->allowed, self->x);
+}
+
+/* After a piece: the one that follows on it. */
+static int next_piece(taylor *self, dal_motion *motion, double until)
+{
+    int status = leave_piece(self, motion, until);
+    if (!status) status = begin_piece(self, motion);
+    return status ? status : watch_piece(self, motion);
 }
 
 /* ---- steps ------------------------------------------------------------------------------- */
@@ -654,19 +702,30 @@ static int follow(taylor *self, dal_motion *motion, double t)
     return status;
 }
 
-/* The state at t. */
-static int reach(taylor *self, dal_motion *motion, double t)
+/* Whether t is in the piece. */
+static bool has_reached(const taylor *self, const dal_motion *motion, double t)
 {
-    const double direction = direction_of(motion);
-    int status = DAL_SUCCESS;
-    while (!status && direction * (t - self->end) > 0.0) status = next_piece(self, motion, t);
-    if (!status) {
-        state_at(self, (t - self->t) / self->unit, self->row, self->row_low);
-        status = find_state(self, motion, t, self->row, self->x);
-    }
+    return direction_of(motion) * (t - self->end) <= 0.0;
+}
+
+/* The state at t, which is in the piece. */
+static int give_state(taylor *self, dal_motion *motion, double t)
+{
+    state_at(self, (t - self->t) / self->unit, self->row, self->row_low);
+    const int status = find_state(self, motion, t, self->row, self->x);
     self->row_t = t;
     self->going = !status;
     if (!status) memcpy(motion->x, self->x, 2 * self->n * sizeof(double));
+    return status;
+}
+
+/* The state at t. */
+static int reach(taylor *self, dal_motion *motion, double t)
+{
+    int status = DAL_SUCCESS;
+    while (!status && !has_reached(self, motion, t)) status = next_piece(self, motion, t);
+    if (!status) return give_state(self, motion, t);
+    self->going = false;
     return status;
 }
 
@@ -692,6 +751,115 @@ static int own_end(void *method, dal_motion *motion, double until, double *end)
     *end = self->end;
     self->going = !status;
     return status;
+}
+
+/* ---- several motions ---------------------------------------------------------------------- */
+
+bool dal__taylor_has_four(const dal_stepper *stepper)
+{
+    const taylor *const self = stepper->method;
+    return stepper->family == &dal__family_taylor && self->series->expand_four;
+}
+
+/* Begins the next piece up to where the coefficients at its end have to be known.  Returns false if
+ * begin_piece has to do more. */
+static bool plan_piece(dal__side *side)
+{
+    taylor *const self = side->stepper->method;
+    const dal_motion *const motion = &side->stepper->motion;
+    if (self->next_unit == 0.0) return false;
+    expand_here(self, motion);
+    double units = allowed_units(self);
+    if (!(units >= 1.0 / FAR)) return false;
+    const double length = limit(self, &units) * self->unit;
+    side->room = room_for(self, units, length);
+    self->end = self->t + direction_of(motion) * length;
+    return self->end != self->t && solves_inside(self, motion, units) && look_at(self, self->end);
+}
+
+/* The coefficients at the ends of some pieces that are planned; their examination. */
+static void examine(dal__side *const *side, size_t count)
+{
+    dal_series_at at[FOUR];
+    const dal_series_at *of[FOUR];
+    const void *parameters[FOUR];
+    double *next[FOUR];
+    const taylor *const first = side[0]->stepper->method;
+    for (size_t i = 0; i < FOUR; i++) { /* empty places compute what the first one does */
+        const dal__side *const one = side[i < count ? i : 0];
+        const taylor *const self = one->stepper->method;
+        at[i] = (dal_series_at){.t = self->end, .unit = unit_after(self, one->room),
+                                .exact = self->exact, .y = self->from, .low = self->from_low,
+                                .u = self->input, .side = self->side, .crossed = self->none};
+        of[i] = &at[i];
+        next[i] = self->next;
+        parameters[i] = one->stepper->motion.system->def.ctx;
+    }
+    if (count > 2)
+        first->series->expand_four(of, first->order, next, first->work, parameters);
+    for (size_t i = 0; i < count; i++) {
+        taylor *const self = side[i]->stepper->method;
+        dal_motion *const motion = &side[i]->stepper->motion;
+        if (count <= 2) self->series->expand(of[i], self->order, next[i], self->work, parameters[i]);
+        motion->stats->evaluations++;
+        int status = DAL_SUCCESS;
+        if (has_slopes(self, self->end, at[i].unit)) {
+            self->next_unit = at[i].unit;
+            self->last_length = side[i]->room;
+        } else {
+            status = begin_piece(self, motion);
+        }
+        side[i]->status = status ? status : watch_piece(self, motion);
+    }
+}
+
+/* Leads one of the motions on, if it is not where it is to go.  Returns whether it did. */
+static bool goes_on(dal__side *side, bool *is_planned)
+{
+    taylor *const self = side->stepper->method;
+    dal_motion *const motion = &side->stepper->motion;
+    const double t = time_of(motion, side->steps);
+    *is_planned = false;
+    if (side->status || side->made) return false;
+    if (has_reached(self, motion, t)) {
+        side->status = give_state(self, motion, t);
+        side->made = true;
+        return false;
+    }
+    side->status = leave_piece(self, motion, t);
+    if (side->status) return false;
+    *is_planned = plan_piece(side);
+    if (*is_planned) return true;
+    side->status = begin_piece(self, motion);
+    if (!side->status) side->status = watch_piece(self, motion);
+    return true;
+}
+
+void dal__taylor_advance(dal__side *sides, size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        dal_stepper *const stepper = sides[i].stepper;
+        sides[i].made = sides[i].steps == 0;
+        sides[i].status = sides[i].made ? DAL_SUCCESS
+            : follow(stepper->method, &stepper->motion, time_of(&stepper->motion, 0));
+    }
+    for (bool going = true; going;) {
+        dal__side *planned[FOUR];
+        size_t number = 0;
+        going = false;
+        for (size_t i = 0; i < count; i++) {
+            bool is_planned;
+            if (goes_on(&sides[i], &is_planned)) going = true;
+            if (is_planned) planned[number++] = &sides[i];
+            if (number == FOUR) examine(planned, number), number = 0;
+        }
+        if (number > 0) examine(planned, number);
+    }
+    for (size_t i = 0; i < count; i++) {
+        taylor *const self = sides[i].stepper->method;
+        if (sides[i].status) self->going = false; /* from its last state it goes on alone */
+        else sides[i].stepper->motion.steps += sides[i].steps;
+    }
 }
 
 /* ---- saved states ------------------------------------------------------------------------ */

@@ -34,7 +34,8 @@ DAL_API dal_constraint_kind dal_system_kind(const dal_system *system);
 DAL_API int dal_system_is_forced(const dal_system *system); /* 1: there is a generalized force */
 DAL_API int dal_system_is_driven(const dal_system *system); /* 1: constraints depend on inputs */
 DAL_API int dal_system_is_time_dependent(const dal_system *system); /* as of the definition */
-DAL_API int dal_system_has_series(const dal_system *system); /* 1: its Taylor series are compiled */
+/* 1: its Taylor series are compiled; 2: also those of four motions at once. */
+DAL_API int dal_system_has_series(const dal_system *system);
 
 /* Return the parameters of a built-in system; your own systems have none. */
 DAL_API size_t dal_system_parameters(const dal_system *system);

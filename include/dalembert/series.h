@@ -49,6 +49,10 @@ typedef struct dal_series {
     int is_timed;    /* 1: a function depends on time */
     /* Y[(order + 1)*width] <- the coefficients; work[(order + 1)*room].  Both are aligned to 64. */
     void (*expand)(const dal_series_at *at, size_t order, double *Y, double *work, const void *p);
+    /* The same for four motions, with the same bits; work[4*(order + 1)*room].  NULL if the system
+     * was not compiled for it, or has switches. */
+    void (*expand_four)(const dal_series_at *const *at, size_t order, double *const *Y,
+                        double *work, const void *const *p);
     /* decay[DAL_SERIES_LAST] <- the largest |Y_k| of all states, relative to the largest of the
      * first coefficients of that state, for k = order - 3 ... order. */
     void (*decay)(size_t order, const double *Y, double *decay);
@@ -64,18 +68,49 @@ typedef struct dal_series {
 #ifdef __GNUC__
 typedef double dal_four __attribute__((vector_size(32), may_alias));
 
+typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
+
+/* What expand and expand_four have in common.  Their texts differ in the type of the numbers, which
+ * is double or dal_four: those of four motions. */
+
 /* x/k, exactly or by 1/k. */
-DAL_LU_INLINE double dal_series_over(double x, bool exact, double k, double inverse)
-{
-    return exact ? x / k : x * inverse;
-}
+#define DAL_SERIES_OVER(x, exact, k, inverse) ((exact) ? (x) / (k) : (x) * (inverse))
 
 /* The rounding error of product = a b. */
-DAL_LU_INLINE double dal_series_rest(double a, double b, double product)
+#define DAL_SERIES_REST(type, a, b, product) \
+    __extension__({ \
+        const double both_ = 0x1p27 + 1.0; \
+        const type a_ = (a), b_ = (b), x_ = both_ * a_, y_ = both_ * b_; \
+        const type a1_ = x_ - (x_ - a_), b1_ = y_ - (y_ - b_), a2_ = a_ - a1_, b2_ = b_ - b1_; \
+        ((a1_ * b1_ - (product)) + a1_ * b2_ + a2_ * b1_) + a2_ * b2_; \
+    })
+
+/* What expand_four has instead of a number, a function, a number of each motion, one/x or 0 for
+ * x = 0, and instead of a row of four columns from the pointer to on. */
+#define DAL_SERIES_ALL(x) ((dal_four){x, x, x, x})
+#define DAL_SERIES_EACH(function, x) \
+    __extension__({ \
+        const dal_four x_ = (x); \
+        (dal_four){function(x_[0]), function(x_[1]), function(x_[2]), function(x_[3])}; \
+    })
+#define DAL_SERIES_EACH_OF_TWO(function, x, y) \
+    __extension__({ \
+        const dal_four x_ = (x), y_ = (y); \
+        (dal_four){function(x_[0], y_[0]), function(x_[1], y_[1]), function(x_[2], y_[2]), \
+                   function(x_[3], y_[3])}; \
+    })
+#define DAL_SERIES_OF(at, what) ((dal_four){at[0] what, at[1] what, at[2] what, at[3] what})
+#define DAL_SERIES_INVERSE(one, x) \
+    __extension__({ \
+        const dal_four x_ = (x), quotient_ = (one) / x_; \
+        (dal_four)((dal_four_bits)quotient_ & (dal_four_bits)(x_ != 0.0)); \
+    })
+
+DAL_LU_INLINE void dal_series_deal(double *const *Y, size_t place, const dal_four *columns)
 {
-    const double both = 0x1p27 + 1.0, x = both * a, y = both * b;
-    const double a1 = x - (x - a), b1 = y - (y - b), a2 = a - a1, b2 = b - b1;
-    return ((a1 * b1 - product) + a1 * b2 + a2 * b1) + a2 * b2;
+    for (size_t i = 0; i < 4; i++)
+        *(dal_four *)(Y[i] + place) =
+            (dal_four){columns[0][i], columns[1][i], columns[2][i], columns[3][i]};
 }
 
 /* dal_series_middle for up to four of the vectors, whose sums are in registers. */
@@ -147,8 +182,6 @@ DAL_LU_INLINE void dal_series_slope(size_t width, size_t order, double s, const 
         ((dal_four *)slope)[c] = k == 1 ? one + other * s : one * s + other;
     }
 }
-
-typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
 
 /* *most <- the larger of it and factor |x|; *size <- |x|.  Vectors that functions return would
  * depend on the set of instructions. */

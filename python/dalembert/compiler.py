@@ -102,11 +102,7 @@ class Compiler:
 
 def find() -> Compiler | None:
     """Return the C compiler, or None if there is none."""
-    return _find(os.environ.get("CC", ""), os.environ.get("PATH", ""))
-
-
-@functools.lru_cache(maxsize=8)
-def _find(wanted: str, _path: str) -> Compiler | None:
+    wanted = os.environ.get("CC", "")
     for candidate in [shlex.split(wanted)] if wanted.strip() else [["cc"], ["gcc"], ["clang"]]:
         path = shutil.which(candidate[0])
         if path is not None:

@@ -121,7 +121,7 @@ def empty(common: Common, rows: int, count: int) -> Block:
 
 
 def _by_c(common: Common, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
-    other = twin(common.system, "lanes") if common.lanes else None
+    other = twin(common.system, _part(common)) if common.lanes else None
     if other is None:
         return _in_one_call(common, rows, count, watch)
     if isinstance(common.system._source, Expressions):
@@ -143,7 +143,7 @@ def without_lanes(common: Common, has_inputs: bool) -> str:
     """Return why members cannot be advanced side by side, "" if they can."""
     hold, least = common.options.hold or 1, lib.DAL__LANES_INPUT_STEPS
     scheme = common.scheme
-    if scheme.nodes != "moved" or scheme.family != "beta":
+    if scheme.nodes != "moved" or scheme.family not in ("beta", "taylor"):
         return f"the scheme {scheme.name!r} has kept nodes or no sub-steps"
     given = {"events": common.events, "energy": common.options.energy}
     if common.varies:
@@ -156,11 +156,22 @@ def without_lanes(common: Common, has_inputs: bool) -> str:
         return "inputs are functions, or enter constraints"
     if has_inputs and hold < least:
         return f"inputs last {hold} steps (hold), and lanes need at least {least}"
-    if twin(common.system, "lanes") is None:
+    if has_inputs and scheme.family == "taylor":
+        return "inputs change the series of each member"
+    other = twin(common.system, _part(common))
+    if other is None:
         return (
-            f"the system {common.system.name!r} needs formulas and at most 8 coordinates"
+            f"the system {common.system.name!r} needs formulas"
+            + " and at most 8 coordinates" * (scheme.family == "beta")
         )
+    if scheme.family == "taylor" and lib.dal_system_has_series(other._handle) < 2:
+        return f"the system {common.system.name!r} has kinks or jumps, or no basis of D"
     return ""
+
+
+def _part(common: Common) -> str:
+    """Return the part of `codegen.program` by which several members are advanced at once."""
+    return "four series" if common.scheme.family == "taylor" else "lanes"
 
 
 def _in_one_call(common: Common, rows: Mapping[str, Array], count: int, watch: Show) -> Block:

@@ -8,7 +8,7 @@ import os
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from .. import compiler, core
+from .. import core
 from ..core import arguments, ffi, lib, require_system
 from ..discrete import DifferenceMap
 from ..system import System
@@ -286,7 +286,7 @@ class Scheme:
         "taylor", or "reference" if the system has no Taylor series.
         """
         if word == "own":
-            has_series = system._model is not None and compiler.find() is not None
+            has_series = system._model is not None and twin(system, "series") is not None
             return cls.find("taylor" if has_series else "reference")
         if word == "reversible":
             return cls.find("bm6")

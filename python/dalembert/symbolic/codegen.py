@@ -100,12 +100,13 @@ def program(
     compact : bool, optional
         Whether the system declares the sparsity of its constraints, so that the library supplies
         the steps.  Default: `is_compact`.
-    part : {"", "steps", "lanes", "series"}, optional
+    part : {"", "steps", "lanes", "series", "four series"}, optional
         What the program has besides the functions of the model.  "steps": the step routine, see
         `has_steps`.  "lanes": also one for several members at once, see `has_lanes`.  "series": the
-        Taylor series.  A constructor has steps and series.
+        Taylor series.  "four series": also those of four members at once.  A constructor has steps
+        and series.
     """
-    lanes, series = part == "lanes", part == "series" or name is not None
+    lanes, series = part == "lanes", part in ("series", "four series") or name is not None
     made, body = Program(), Program()
     derived = model.derived
     compact = is_compact(model) if compact is None else compact
@@ -136,7 +137,7 @@ def program(
             _lanes(body, model)
         _compiled(body, model, lanes)
     if series:
-        expansion(body, model, motion(model))
+        expansion(body, model, motion(model), part == "four series")
     if any("MODEL_CUT" in line for line in body.lines):
         made.add(_CUT)
     for helper, rest in _HELPERS.items():

@@ -24,14 +24,17 @@ class Writer:
         The text of the values of symbols, by name.
     low : mapping of str to str
         The text of their parts below the last digit.
+    four : bool
+        Whether the text is that of ``expand_four``.
     """
 
     def __init__(
-        self, series: Series, places: Mapping[str, str], low: Mapping[str, str]
+        self, series: Series, places: Mapping[str, str], low: Mapping[str, str], four: bool
     ) -> None:
-        self.series, self._places, self._below = series, places, low
+        self.series, self._places, self._below, self.four = series, places, low, four
+        self.type, self.zero = ("dal_four", "zero") if four else ("double", "0.0")
         self._number = {e: i for i, e in enumerate(series.nodes)}
-        self.vectors = -(-len(series.pairs) // 4)
+        self.vectors = len(series.pairs) if four else -(-len(series.pairs) // 4)
         columns = len(series.states) + len(series.switches)
         self.width = -(-columns // 4) * 4
         self._low: dict[Node, str | None] = {}
@@ -45,14 +48,14 @@ class Writer:
         series, found = self.series, [*self._first()]
         states = list(series.states)
         live = [e for e in series.nodes if series.degree[e] > 0]
-        found += [f"const double r{self._number[e]} = {x};" for e in live if (x := self._over(e))]
-        found += [f"const double g{self._number[e]} = {self._part(e.args[1])} * "
+        found += [f"const {self.type} r{self._number[e]} = {x};" for e in live if (x := self._over(e))]
+        found += [f"const {self.type} g{self._number[e]} = {self._part(e.args[1])} * "
                   f"{self.zeroth(e)} * r{self._number[e]};" for e in live if e.op == "power"]
-        found += [f"const double f{self._number[e]} = {self._slope(e)};" for e in live
+        found += [f"const {self.type} f{self._number[e]} = {self._slope(e)};" for e in live
                   if series.degree[e] == 1]  # fmt: skip
-        found += [f"double b{self._number[e]} = {self.zeroth(e)};" for e in self._before()]
+        found += [f"{self.type} b{self._number[e]} = {self.zeroth(e)};" for e in self._before()]
         found += self._row("0", [self.zeroth(x) for x in self._columns()])
-        found += [f"double d{i} = {self.zeroth(rate)};"
+        found += [f"{self.type} d{i} = {self.zeroth(rate)};"
                   for i, rate in enumerate(series.states.values())]  # fmt: skip
         found.append("for (size_t k = 1; k < order; k++) {")
         found += [f"    {line}" for line in self._loop()]
@@ -63,7 +66,13 @@ class Writer:
 
     def _row(self, order: str, coefficients: Sequence[str]) -> list[str]:
         """Return the assignment of coefficients of all columns, four at once."""
-        several = [*coefficients, *["0.0"] * (self.width - len(coefficients))]
+        several = [*coefficients, *[self.zero] * (self.width - len(coefficients))]
+        if self.four:
+            return [
+                f"dal_series_deal(Y, {order} * {self.width} + {i}, "
+                f"(const dal_four[]){{{', '.join(several[i : i + 4])}}});"
+                for i in range(0, self.width, 4)
+            ]
         return [
             f"((dal_four *)Y)[{order} * {self.width // 4} + {i // 4}] = "
             f"(dal_four){{{', '.join(several[i : i + 4])}}};"
@@ -96,7 +105,7 @@ class Writer:
         for e in self.series.nodes:
             if e.op in ("number", "constant", "nan"):
                 continue
-            kind = "int" if e.op in CONDITIONS else "double"
+            kind = "int" if e.op in CONDITIONS else self.type
             if e in self.series.sides:
                 found.append(f"const double s{self._number[e]} = {self._side(e)};")
                 found.append(f"const {kind} a{self._number[e]} = {self._branch(e, e.args, 0)};")
@@ -105,9 +114,8 @@ class Writer:
             if e.op in ("sin", "cos") and (low := self.low(e.args[0])):
                 pair, sign = ("cos", "+") if e.op == "sin" else ("sin", "-")
                 angle, name = self.zeroth(e.args[0]), f"a{self._number[e]}"
-                found[-1] = (
-                    f"const double {name} = {e.op}({angle}) {sign} {low} * {pair}({angle});"
-                )
+                one, other = self._call(e.op, angle), self._call(pair, angle)
+                found[-1] = f"const {self.type} {name} = {one} {sign} {low} * {other};"
             self._low_part(e, found)
         return found
 
@@ -124,7 +132,14 @@ class Writer:
             return f" {e.op} ".join(f"({x})" if x[0] == "-" else x for x in args)
         if e.op in C.forms:
             return C.forms[e.op].format(*args)
-        return f"{C.names.get(e.op, e.op)}({', '.join(args)})"
+        return self._call(C.names.get(e.op, e.op), *args)
+
+    def _call(self, name: str, *args: str) -> str:
+        """Return a call of a function of numbers."""
+        if not self.four:
+            return f"{name}({', '.join(args)})"
+        each = "DAL_SERIES_EACH" if len(args) == 1 else "DAL_SERIES_EACH_OF_TWO"
+        return f"{each}({name}, {', '.join(args)})"
 
     def _branch(self, e: Node, args: Sequence[Node], order: int) -> str:
         """Return the coefficient of a function with branches: of order 0, or k."""
@@ -163,9 +178,10 @@ class Writer:
 
     def zeroth(self, e: Node) -> str:
         """Return the name, or the text, of the coefficient of order 0."""
-        if e.op in ("number", "constant"):
-            return repr(nearest(e))
-        return "NAN" if e.op == "nan" else f"a{self._number[e]}"
+        if e.op not in ("number", "constant", "nan"):
+            return f"a{self._number[e]}"
+        text = "NAN" if e.op == "nan" else repr(nearest(e))
+        return f"DAL_SERIES_ALL({text})" if self.four else text
 
     def _part(self, e: Node) -> str:
         text = self.zeroth(e)
@@ -192,9 +208,9 @@ class Writer:
             sign = e.op
             back = f"z{number}"
             lows = f"{parts[0] or '0.0'} {sign} {parts[1] or '0.0'}"
-            found.append(f"const double {back} = {name} - {a};")
+            found.append(f"const {self.type} {back} = {name} - {a};")
             found.append(
-                f"const double l{number} = ({a} - ({name} - {back})) + ({sign}{b} - {back}) "
+                f"const {self.type} l{number} = ({a} - ({name} - {back})) + ({sign}{b} - {back}) "
                 f"+ ({lows});"
             )
             self._low[e] = f"l{number}"
@@ -203,8 +219,8 @@ class Writer:
                 if (low := self._low.get(one)) and self.series.degree[other] == 0:
                     a, b = self._part(one), self._part(other)
                     found.append(
-                        f"const double l{number} = dal_series_rest({a}, {b}, {name}) "
-                        f"+ {b} * {low};"
+                        f"const {self.type} l{number} = DAL_SERIES_REST({self.type}, {a}, {b}, "
+                        f"{name}) + {b} * {low};"
                     )
                     self._low[e] = f"l{number}"
                     return
@@ -241,6 +257,8 @@ class Writer:
         if e.op in ("sqrt", "power"):  # 0 stays 0, which the caller examines, see is_branched
             one = "0.5" if e.op == "sqrt" else "1.0"
             divisor = self.zeroth(e) if e.op == "sqrt" else f"({self._base(e.args[0])})"
+            if self.four:
+                return f"DAL_SERIES_INVERSE({one}, {divisor})"
             return f"{divisor} == 0.0 ? 0.0 : {one} / {divisor}"
         if e.op == "atan2" or (e.op in RULES and RULES[e.op].is_quotient):
             return f"1.0 / {self._part(self.series.other[e])}"
@@ -248,39 +266,41 @@ class Writer:
 
     def _loop(self) -> list[str]:
         series, found = self.series, list[str]()
-        found.append("const bool exact = k < at->exact;")
+        found.append(f"const bool exact = k < at{'[0]' * self.four}->exact;")
         found.append("const double number = (double)k, inverse = 1.0 / number;")
-        found.append("const double divisor = number / unit, factor = inverse * unit;")
+        found.append(f"const {self.type} divisor = number / unit, factor = inverse * unit;")
         if self.vectors:
-            found.append(f"union {{ dal_four vectors[{self.vectors}]; "
-                         f"double at[{4 * self.vectors}]; }} M;")  # fmt: skip
+            numbers = "" if self.four else f" double at[{4 * self.vectors}];"
+            found.append(f"union {{ dal_four vectors[{self.vectors}];{numbers} }} M;")
             found.append(f"dal_series_middle(k, {self.vectors}, A, B, M.vectors);")
         for i, x in enumerate(series.states):
             if series.degree[x] > 0:
-                text = f"dal_series_over(d{i}, exact, divisor, factor)"
-                found.append(f"const double c{self._number[x]} = {text};")
+                text = f"DAL_SERIES_OVER(d{i}, exact, divisor, factor)"
+                found.append(f"const {self.type} c{self._number[x]} = {text};")
         for e in series.nodes:
             if series.degree[e] > 0 and e not in series.states:
                 is_linear = series.degree[e] == 1
-                text = f"k == 1 ? f{self._number[e]} : 0.0" if is_linear else self._order(e)
-                found.append(f"const double c{self._number[e]} = {text};")
-        found += self._row("k", [self.kth(e) or "0.0" for e in self._columns()])
+                one = f"k == 1 ? f{self._number[e]} : {self.zero}"
+                text = one if is_linear else self._order(e)
+                found.append(f"const {self.type} c{self._number[e]} = {text};")
+        found += self._row("k", [self.kth(e) or self.zero for e in self._columns()])
         for name, side in (("A", 0), ("B", 1)):
             operands = [self._operand(pair[side]) for pair in series.pairs]
-            operands += ["0.0"] * (4 * self.vectors - len(operands))
-            for c in range(self.vectors):
-                four = ", ".join(operands[4 * c : 4 * c + 4])
-                found.append(f"{name}[k * {self.vectors} + {c}] = (dal_four){{{four}}};")
-        found += [f"b{self._number[e]} = {self.kth(e) or '0.0'};" for e in self._before()]
+            if not self.four:
+                operands += ["0.0"] * (4 * self.vectors - len(operands))
+                fours = (operands[i : i + 4] for i in range(0, len(operands), 4))
+                operands = [f"(dal_four){{{', '.join(four)}}}" for four in fours]
+            found += [f"{name}[k * {self.vectors} + {c}] = {x};" for c, x in enumerate(operands)]
+        found += [f"b{self._number[e]} = {self.kth(e) or self.zero};" for e in self._before()]
         for i, rate in enumerate(series.states.values()):
-            found.append(f"d{i} = {self.kth(rate) or '0.0'};")
+            found.append(f"d{i} = {self.kth(rate) or self.zero};")
         return found
 
     def _operand(self, operand: Operand) -> str:
         e, is_weighted = operand
         text = self.kth(e)
         if text is None:
-            return "0.0"
+            return self.zero
         if not is_weighted:
             return text
         if e in self.series.states:
@@ -290,7 +310,8 @@ class Writer:
     def _order(self, e: Node) -> str:
         """Return the text of the coefficient of order k."""
         series, op = self.series, e.op
-        M = [f"M.at[{series.pairs[pair]}]" for pair in series.needs(e)]
+        place = "vectors" if self.four else "at"
+        M = [f"M.{place}[{series.pairs[pair]}]" for pair in series.needs(e)]
         over = f"r{self._number[e]}"
         k = [self.kth(a) for a in e.args]
         zero = [self._part(a) for a in e.args]
@@ -306,18 +327,18 @@ class Writer:
             return self._times(e, M)
         if op == "/":
             if not k[1]:
-                return f"dal_series_over({k[0]}, exact, {zero[1]}, {over})"
+                return f"DAL_SERIES_OVER({k[0]}, exact, {zero[1]}, {over})"
             before = f"f{self._number[e.args[1]]} * b{self._number[e]}"
             part = f"({M[0]} + {k[1]} * {self.zeroth(e)})" if M else before
             return f"({k[0]} - {part}) * {over}" if k[0] else f"-({part}) * {over}"
         if op == "sqrt":
             return f"({k[0]} - {M[0]}) * {over}"
         if op == "power":
-            rest = f"dal_series_over({zero[1]} * {M[0]} - {M[1]}, exact, number, inverse)"
+            rest = f"DAL_SERIES_OVER({zero[1]} * {M[0]} - {M[1]}, exact, number, inverse)"
             return f"{k[0]} * g{self._number[e]} + {rest} * {over}"
         if op == "atan2":
             one = f"{k[0] or '0.0'} * {zero[1]} - {k[1] or '0.0'} * {zero[0]}"
-            rest = f"dal_series_over({M[0]} - {M[1]} - {M[2]}, exact, number, inverse)"
+            rest = f"DAL_SERIES_OVER({M[0]} - {M[1]} - {M[2]}, exact, number, inverse)"
             return f"({one} + {rest}) * {over}"
         return self._function(e, M, k)
 
@@ -329,7 +350,7 @@ class Writer:
             return f"-{k[1]}"
         if fraction := _fraction(a):
             above, below = fraction
-            return f"dal_series_over({above} * {k[1]}, exact, {below}, 1.0 / {below})"
+            return f"DAL_SERIES_OVER({above} * {k[1]}, exact, {below}, 1.0 / {below})"
         if not (k[0] and k[1]):
             return f"{one} * {k[1]}" if k[1] else f"{other} * {k[0]}"
         if M and a is b:
@@ -346,17 +367,17 @@ class Writer:
         rule, sign = RULES[e.op], "-" if RULES[e.op].sign < 0 else ""
         other = self.series.other[e]
         if rule.is_quotient:
-            own = f"{sign}{k[0]} - dal_series_over({M[0]}, exact, number, inverse)"
+            own = f"{sign}{k[0]} - DAL_SERIES_OVER({M[0]}, exact, number, inverse)"
             return f"({own}) * r{self._number[e]}"
         if not M:
             before = f"f{self._number[e.args[0]]} * b{self._number[other]}"
-            return f"{sign}dal_series_over({before}, exact, number, inverse)"
-        rest = f"dal_series_over({M[0]}, exact, number, inverse)"
+            return f"{sign}DAL_SERIES_OVER({before}, exact, number, inverse)"
+        rest = f"DAL_SERIES_OVER({M[0]}, exact, number, inverse)"
         return f"{sign}({k[0]} * {self._part(other)} + {rest})"
 
 
 _NAME = re.compile(r"[A-Za-z_]\w*")
-_ASSIGNED = re.compile(r" *(?:const )?(?:double |int |bool )?([a-z]\w*) = ")
+_ASSIGNED = re.compile(r" *(?:const )?(?:double |dal_four |int |bool )?([a-z]\w*) = ")
 
 
 def _used(lines: list[str]) -> list[str]:
@@ -396,37 +417,54 @@ def _fraction(e: Node) -> tuple[float, float] | None:
 # ---- the program -------------------------------------------------------------------------------
 
 
-def expansion(made: Program, model: Model, motion: Motion) -> None:
-    """Write the series of a model, as a ``dal_series``."""
+def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
+    """Write the series of a model, as a ``dal_series``; ``four``: with expand_four, see series.h."""
     read = model.derived.read
     q, p, u = ([read(x) for x in part] for part in (model.q, model.p, model.u))
     time = read(TIME)
     y = [*q, *motion.w]
     series = series_of(model, motion)
-    places = {x.value: f"p[{i}]" for i, x in enumerate(p)}
-    places |= {x.value: f"at->u[{i}]" for i, x in enumerate(u)} | {time.value: "at->t"}
-    places |= {x.value: f"at->y[{i}]" for i, x in enumerate(y)}
-    low = {x.value: f"at->low[{i}]" for i, x in enumerate(y)} | {time.value: "0.0"}
-    writer = Writer(series, places, low)
-    width, vectors = writer.width, writer.vectors
-    made.add("#ifdef __GNUC__\n" + _EXPAND)
-    if vectors:
-        made.add(f"    dal_four *const A = (dal_four *)work, *const B = A + order * {vectors};")
-    made.add("    const double *const p = parameters, unit = at->unit;\n    (void)p, (void)work;")
-    made.lines += [f"    {line}" for line in writer.lines()]
+    of = {"p": p, "u": u, "y": y}
+    made.add("#ifdef __GNUC__")
+    one = Writer(series, *_places(of, time, "p[{}]", "at->{}"), False)
+    made.add(_EXPAND + "    dal_four *const A = (dal_four *)work, "
+             f"*const B = A + order * {one.vectors};\n" * bool(one.vectors)
+             + "    const double *const p = parameters, unit = at->unit;\n    (void)p, (void)work;")
+    made.lines += [f"    {line}" for line in one.lines()]
     made.add("}\n")
-    made.add(_SUMS.format(width=width))
+    has_four = four and motion.in_D and not series.sides
+    if has_four:
+        writer = Writer(series, *_places(of, time, "DAL_SERIES_OF(p, [{}])", "DAL_SERIES_OF(at, ->{})"),
+                        True)
+        made.add(_EXPAND_FOUR + "    dal_four *const A = (dal_four *)work, "
+                 f"*const B = A + order * {writer.vectors};\n" * bool(writer.vectors))
+        made.lines += [f"    {line}" for line in writer.lines()]
+        made.add("}\n")
+    made.add(_SUMS.format(width=one.width))
     _values(made, "velocity", "t, y, u, v, p", motion.velocity, {"y": y, "u": u, "p": p}, time)
     x = {"x": [*q, *(read(s) for s in model.v)], "u": u, "p": p}
     _values(made, "quasi", "t, x, u, w, p", motion.quasi, x, time)
-    sizes = len(y), len(series.switches), width, 8 * vectors
+    sizes = len(y), len(series.switches), one.width, 8 * one.vectors
     flags = int(motion.in_D), int(series.is_timed)
     made.add(
         "static const dal_series model_series = {\n"
         f"    DAL_SERIES_ABI, {', '.join(map(str, (*sizes, *flags)))},\n"
-        "    model_expand, model_decay, model_sum, model_slope, model_velocity, model_quasi};\n"
+        f"    model_expand, {'model_expand_four' if has_four else 'NULL'}, model_decay, model_sum,\n"
+        "    model_slope, model_velocity, model_quasi};\n"
         "#define MODEL_SERIES &model_series\n#else\n#define MODEL_SERIES NULL\n#endif\n"
     )
+
+
+def _places(
+    of: Mapping[str, Sequence[Node]], time: Node, parameter: str, number: str
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the texts of symbols, by name, and of their parts below the last digit."""
+    places = {time.value: number.format("t")}
+    places |= {x.value: parameter.format(i) for i, x in enumerate(of["p"])}
+    for name in ("u", "y"):
+        places |= {x.value: number.format(f"{name}[{i}]") for i, x in enumerate(of[name])}
+    low = {x.value: number.format(f"low[{i}]") for i, x in enumerate(of["y"])}
+    return places, low | {time.value: "0.0"}
 
 
 # A comparison of two numbers is one of the side of their difference with 0.
@@ -434,7 +472,16 @@ _SIDES = {"<": "<", "<=": "<=", "==": "==", "!=": "!="}
 
 _EXPAND = """static void model_expand(const dal_series_at *at, size_t order, double *Y,
                          double *work, const void *parameters)
-{"""
+{
+"""
+
+_EXPAND_FOUR = """static void model_expand_four(const dal_series_at *const *at, size_t order,
+                              double *const *Y, double *work, const void *const *parameters)
+{
+    const double *const *const p = (const double *const *)parameters;
+    const dal_four unit = DAL_SERIES_OF(at, ->unit), zero = {0.0};
+    (void)p, (void)work, (void)zero;
+"""
 
 _SUMS = """static void model_decay(size_t order, const double *Y, double *decay)
 {{

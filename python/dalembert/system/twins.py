@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import compiler, geometry
 from ..core import DalembertError, extras
-from ..symbolic import codegen, expressions
+from ..symbolic import codegen, evaluation, expressions
 from .sources import BuiltIn, Expressions
 from .system import System
 
@@ -28,10 +28,11 @@ def twin(system: System, part: str) -> System | None:
         return None
     source = system._source
     if isinstance(source, Expressions):
-        fits = not source.part and _fits(source.model, part)
-        if not fits:
+        if source.part or not _fits(source.model, part):
             return None
         with compiler.showing(system._progress):
+            if evaluation.library(source.model, part) is None:  # there is no compiler
+                return None
             return System._of(dataclasses.replace(source, part=part))
     if part == "steps" or not isinstance(source, BuiltIn) or system.q0 is None:
         return None
@@ -50,9 +51,9 @@ def twin(system: System, part: str) -> System | None:
 
 
 def _fits(model: object, part: str) -> bool:
-    """Return whether a part makes a difference for a model, and there is a compiler for it."""
+    """Return whether a part makes a difference for a model."""
     wanted = {"steps": codegen.has_steps, "lanes": codegen.has_lanes}.get(part)
-    return compiler.find() is not None and (wanted is None or bool(wanted(model)))
+    return wanted is None or bool(wanted(model))
 
 
 def _same(system: System, other: System) -> bool:

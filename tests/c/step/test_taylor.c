@@ -56,8 +56,8 @@ static void expand(const dal_series_at *at, size_t order, double *Y, double *wor
         union { dal_four vector; double at[4]; } M;
         dal_series_middle(k, 1, A, B, &M.vector);
         const double before = s;
-        s = dal_series_over(turn * c, k < at->exact, number, 1.0 / number);
-        c = -dal_series_over(turn * before, k < at->exact, number, 1.0 / number);
+        s = DAL_SERIES_OVER(turn * c, k < at->exact, number, 1.0 / number);
+        c = -DAL_SERIES_OVER(turn * before, k < at->exact, number, 1.0 / number);
         along[0] = (M.at[0] + c * w0) + c0 * row[3];
         along[1] = (M.at[1] + s * w0) + s0 * row[3];
         A[k] = (dal_four){c, s, 0.0, 0.0};

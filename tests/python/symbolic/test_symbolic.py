@@ -299,7 +299,7 @@ def test_work_grows_with_what_is_there():
     work = []
     for count in (6, 12):
         skating = of(*skates(count))
-        lines = codegen.program(skating).source.count("\n")
+        lines = codegen.program(skating, part="steps").source.count("\n")
         work.append((len(skating.derived.read.graph.nodes), lines))
     (operations, lines), (more, longer) = work
     # There are 5 and 11 springs.
@@ -319,7 +319,7 @@ def test_constraints_with_the_entries_of_their_sparsity(tmp_path):
     row, column = found.sparsity
     assert [*zip(row, column)] == pattern and len(pattern) == 4 * 3 + 2
 
-    source = codegen.program(found, compact=None).source
+    source = codegen.program(found, compact=None, part="steps").source
     assert ".sparsity = &model_sparsity" in source and "kernel.h" not in source
     assert "dal_sparsity model_sparsity = {14, model_row, model_column};" in source
     for name, places in (("row", row), ("column", column)):
@@ -368,14 +368,15 @@ def test_which_constraints_are_sparse():
 def test_one_text_two_compilations(name, scheme):
     """1000 steps of the compiled step routine have the bits of the library's run-time version."""
     system = MAKERS[name]()
-    assert library(system._model).definition.compiled != core.ffi.NULL
+    assert library(system._model, "steps").definition.compiled != core.ffi.NULL
     source = np.random.default_rng(7)
     q0 = source.uniform(-0.5, 0.5, system.n)
     v0 = system.project(q0, source.uniform(-1, 1, system.n))
     ends = []
     for any_sizes in (False, True):
         record = dal.Scheme.find(scheme)
-        stepper = core.make("stepper", system._handle, c_record(record), core.ffi.NULL)
+        handle = record._stepped(system)._handle
+        stepper = core.make("stepper", handle, c_record(record), core.ffi.NULL)
         if any_sizes:
             core.lib.dal__beta_any_sizes(stepper)
         x = np.concatenate([q0, v0])
@@ -396,7 +397,7 @@ def test_factors_are_one_number():
     third, tenths = sympy.Rational(1, 3), sympy.Rational(3, 10)
     L = (x.d**2 + y.d**2) / 2 - tenths * x**2 * y**2 / 2 - third * x * y - y / (7 * (3 + x**2))
     system = dal.System.from_sympy(L, [y.d - x.d / 7], [x, y])
-    source = codegen.program(system._model).source
+    source = codegen.program(system._model, part="steps").source
     potential = source[source.index("model_potential") : source.index("model_call_potential")]
     assert "10.0" not in source and " / 2.0" not in source and " / 3.0" not in source
     assert "0.3 * " in potential and repr(1 / 3) in potential
@@ -411,7 +412,7 @@ def test_many_coordinates():
     q = dal.coordinates(" ".join(f"x{i}" for i in range(40)))
     rows = [a.d - b * c.d for a, b, c in zip(q, q[10:], q[20:30])]
     large = dal.System.from_sympy(sum(x.d**2 for x in q) / 2, rows, coordinates=list(q))
-    assert library(large._model).definition.compiled == core.ffi.NULL
+    assert library(large._model, "steps").definition.compiled == core.ffi.NULL
     q0 = np.linspace(-1, 1, 40)
     run = dal.integrate(large, "midpoint", q0, large.project(q0, np.cos(q0)), h=0.01, steps=100)
     assert run.success and run.residual.max() <= 4 * 40 * U
@@ -553,7 +554,7 @@ def test_large_callbacks_are_called():
     x, y = dal.coordinates("x y")
     for count, head in ((1, "DAL_KERNEL_INLINE int"), (150, "static int")):
         V = sum(sympy.sin(k * x) / k for k in range(1, count + 1))
-        source = codegen.program(of((x.d**2 + y.d**2) / 2 - V, [y.d - x * x.d])).source
+        source = codegen.program(of((x.d**2 + y.d**2) / 2 - V, [y.d - x * x.d]), part="steps").source
         assert f"{head}\nmodel_potential(" in source
         assert (count > 1) == (source.count("MODEL_CUT(part);") > 5)
         assert "DAL_KERNEL_INLINE int\nmodel_constraint(" in source
@@ -1101,7 +1102,8 @@ def test_compiled_field(name):
         system = dal.System.from_sympy(L, constraints, force=force[0] if force else None)
     else:
         system = dal.systems.get(name)
-    assert "NULL, model_field};" in codegen.program(system._model).source
+    assert "NULL, model_field};" in codegen.program(system._model, part="steps").source
+    system = dal.Scheme.find("reference")._stepped(system)
     random = np.random.default_rng(3)
     for t in (0.0, 0.7):
         q, v = 0.4 * random.normal(size=(2, system.n)) + 0.3
