@@ -18,6 +18,7 @@ when a switch changes its sign, the difference of the arguments.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -29,9 +30,7 @@ from .graph import CONDITIONS, Graph, Node, below, mask_of
 # Degree of a series that does not end.
 ENDLESS = 2
 
-COMPARED = ("max", "min", "<", "<=", "==", "!=")
-_ALONE = ("fabs", "sign", "step")
-_CONSTANT = ("sign", "step", *CONDITIONS)  # between switches
+_LOW = 4  # power of the time, sines and cosines; high powers are pulses
 
 COMPARED = ("max", "min", "<", "<=", "==", "!=")
 _ALONE = ("fabs", "sign", "step")
@@ -173,7 +172,8 @@ class Series:
     sides : dict of Node to tuple of int
         The number of the switch of a function with branches, and the factor of its sign.
     is_timed : bool
-        Whether a rate depends on time.
+        Whether a rate depends on time otherwise than by low powers of the time, of sines and of
+        cosines.
     """
 
     def __init__(self, states: Mapping[Node, Node], time: Node) -> None:
@@ -189,11 +189,32 @@ class Series:
         every = [*self.states, *self.states.values(), *self.other.values(), *self.switches]
         self.nodes = below(every)
         self.degree = self._degrees()
-        self.is_timed = self.time in self.nodes
+        self.is_timed = self._is_timed()
         self.pairs: dict[Pair, int] = {}
         for e in self.nodes:
             for pair in self.needs(e):
                 self.pairs.setdefault(pair, len(self.pairs))
+
+    def _is_timed(self) -> bool:
+        """Return whether something may come that the series do not show: a pulse, a start."""
+        changing = mask_of([self.time])
+        power: dict[Node, float] = {}  # of the time, sines and cosines in it
+        for e in self.nodes:
+            args = [power[a] for a in e.args]
+            if not e.reach & changing:
+                power[e] = 0
+            elif e is self.time:
+                power[e] = 1
+            elif e.op in ("+", "-"):
+                power[e] = max(args)
+            elif e.op == "*":
+                power[e] = sum(args)
+            elif e.op == "/":
+                power[e] = args[0] if args[1] == 0 else math.inf
+            else:
+                is_wave = e.op in ("sin", "cos") and args[0] == 1 and self.degree[e.args[0]] == 1
+                power[e] = 1 if is_wave else math.inf
+        return max(power.values(), default=0) > _LOW
 
     def _complete(self) -> None:
         """Find the series that functions need besides their arguments, and the switches."""
