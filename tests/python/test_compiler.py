@@ -106,6 +106,17 @@ def test_kept_and_found_again(cache, compiled):
     assert not list(cache.glob("*.new"))
 
 
+def test_steps_and_series_are_compiled_for_the_first_run(cache, compiled):
+    system, start = slide(), ([0.5, 0.2], [1.0, np.sin(0.5)])
+    energy(system)
+    dal.integrate(system, "midpoint", *start, h=0.1, steps=1)
+    dal.integrate(system, "reference", *start, h=0.1, steps=1)
+    dal.integrate(system, *start, t_end=0.1)
+    dal.integrate(system.with_parameters(a=1), "leapfrog", *start, h=0.1, steps=1)
+    parts = [(f"{name}.h" in source) for source in compiled for name in ("kernel", "series")]
+    assert parts == [False, False, True, False, False, True]
+
+
 def test_names_do_not_matter(cache, compiled):
     slide()
     u, v = dal.coordinates("u v")

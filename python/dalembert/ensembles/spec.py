@@ -193,6 +193,8 @@ class EnsembleOptions(Events, Inputs, Sampling, Step, Extent, Size, _Members):
         result says which.  The bits of a member then do not depend on
         other members, their order or the threads, on one kind of machine.  They differ from those
         of `integrate` by about 1e-12 over 1000 steps, because vector sines differ in the last bit.
+        With "taylor" the bits are those of `integrate`; n may be any number, and there must be no
+        inputs, kinks or jumps.
     """, default=False, parse=bool)
     store: str | os.PathLike[str] | None = option("str or path", """
         A directory for the results, one file for each block.  After an interruption, the same call

@@ -108,7 +108,7 @@ class Chart(core.Constant):
         self._charts = Workspaces(self._new, system.kind)
         self._place = ffi.NULL
         if dependent is not None:
-            self._place = ffi.new("size_t[]", _indices(system, dependent))
+            self._place = ffi.new("size_t[]", indices(system, dependent))
         with self._charts.lend() as chart:
             found = lib.dal_chart_dependent(chart)
             self._place = ffi.new("size_t[]", [found[a] for a in range(system.m)])
@@ -506,6 +506,20 @@ class Chart(core.Constant):
                 )  # fmt: skip
         return mechanics.halves(x)
 
+    def closed(self) -> Any:
+        """Return the equations of this chart in closed form, as `System.reduced`.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Chart(dal.systems.particle(), dependent="z").closed().E
+        Matrix([
+        [1, 0],
+        [0, 1],
+        [y, 0]])
+        """
+        return self.system.reduced(self.dependent)
+
     def __reduce__(self) -> tuple[Any, ...]:
         n = self.system.n
         return Chart, (self.system, self._x[:n], self._x[n:], self.dependent, self._t)
@@ -546,7 +560,7 @@ def cutoff(tau: ArrayLike) -> tuple[Any, Any, Any]:
     return (first, second, slope) if given.ndim else (float(first), float(second), float(slope))
 
 
-def _indices(system: Handle, dependent: str | Iterable[str]) -> list[int]:
+def indices(system: Handle, dependent: str | Iterable[str]) -> list[int]:
     """Return the indices of m names of coordinates."""
     names = [dependent] if isinstance(dependent, str) else dependent
     names = arguments.names(names, "dependent", f"m = {system.m} names of coordinates")

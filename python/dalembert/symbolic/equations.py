@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import sympy
 
+from .graph import below
 from .latex import writer
 from .model import Model
 from .motion import agrees
-from .reduced import NotReduced
+from .printing import C, Program, Text, spelled
+from .reduced import NotReduced, Reduced, in_chart
 from .symbols import TIME, Time
 
 Expr = Any
@@ -32,6 +35,8 @@ class Equations(NamedTuple):
         The operations on columns that led to E.
     tex : str
         The same as LaTeX, in an aligned environment.
+    c : str
+        The same as two C functions, ``velocity`` and ``rates``.
     coordinates : tuple of str
         Their names.
     """
@@ -42,6 +47,7 @@ class Equations(NamedTuple):
     rates: Expr
     how: tuple[str, ...]
     tex: str
+    c: str
     coordinates: tuple[str, ...]
 
     def _repr_latex_(self) -> str:
@@ -71,8 +77,10 @@ def _free(taken: set[str], count: int) -> str:
     return next(x for x in letters if not {f"{x}{i + 1}" for i in range(count)} & taken)
 
 
-def equations(model: Model) -> Equations:
+def equations(model: Model, dependent: Collection[int] | None = None) -> Equations:
     """Return the equations of a model, in the user's names.
+
+    If ``dependent`` are the numbers of m coordinates, w are the velocities of the others.
 
     Raises
     ------
@@ -80,7 +88,7 @@ def equations(model: Model) -> Equations:
         If no basis of D is found in closed form.
     """
     try:
-        found = model.reduced
+        found = model.reduced if dependent is None else in_chart(model, dependent)
     except NotReduced as reason:
         raise NotImplementedError(f"no equations on D in closed form: {reason}") from None
     if not agrees(model, found):
@@ -104,5 +112,26 @@ def equations(model: Model) -> Equations:
         *(rf"\dot {tex(x)} &= {tex(rate)}" for x, rate in zip(column, rates)),
     ]
     text = r"\begin{aligned}" + r" \\ ".join(lines) + r"\end{aligned}"
+    if dependent is not None:
+        E = E.applyfunc(sympy.trigsimp)
     E, e, rates = (model.shown(x).xreplace(names) for x in (E, e, rates))
-    return Equations(w, E, e, rates, found.how, text, model.coordinates)
+    return Equations(w, E, e, rates, found.how, text, _in_c(model, found), model.coordinates)
+
+
+def _in_c(model: Model, found: Reduced) -> str:
+    """Return two functions of the time, q[n], w[n - m], the inputs u and the parameters p."""
+    read, made = model.derived.read, Program()
+    arrays = {"q": model.q, "u": model.u, "p": model.p}
+    places = {read(x).value: f"{name}[{i}]" for name, x in arrays.items() for i, x in enumerate(x)}
+    places |= {x.value: f"w[{i}]" for i, x in enumerate(found.w)} | {read(TIME).value: "t"}
+    made.add("#include <math.h>\n")
+    for name, out, nodes in (("velocity", "v", found.velocity), ("rates", "w_t", found.rates)):
+        nodes = spelled(nodes)
+        text = Text(nodes, C, places)
+        made.add(f"void {name}(double t, const double *q, const double *w, const double *u,\n"
+                 f"     {' ' * len(name)} const double *p, double *{out})\n{{")  # fmt: skip
+        made.add("    (void)t, (void)q, (void)w, (void)u, (void)p;")
+        made.lines += [f"    {line}" for line in text.names(below(nodes), nodes)]
+        made.lines += [f"    {out}[{i}] = {text.whole(e)};" for i, e in enumerate(nodes)]
+        made.add("}\n")
+    return made.source.rstrip() + "\n"

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -135,6 +135,19 @@ def reduced(model: Model) -> Reduced:
     return _Reduction(model).best()
 
 
+def in_chart(model: Model, dependent: Collection[int]) -> Reduced:
+    """Return the equations for w = the velocities of all coordinates but m dependent ones.
+
+    They are singular where those do not determine the others.
+
+    Raises
+    ------
+    NotReduced
+        As for `reduced`, or if they determine the others nowhere.
+    """
+    return _Reduction(model).in_chart(dependent)
+
+
 class _Reduction:
     """The search for the equations of a model."""
 
@@ -202,6 +215,28 @@ class _Reduction:
         _, best = min(
             ((x.weight, x.best()) for _, x in several), key=lambda x: x[0] * x[1].cost
         )
+        return self.returned(best)
+
+    def in_chart(self, dependent: Collection[int]) -> Reduced:
+        """Return the equations with the velocities of some coordinates eliminated."""
+        forms = Forms(self.graph, self.moving, self.signs, True)
+        search = _Search(self, forms, False)
+        basis, left = search.start(), list(range(self.n))
+        rows = list(range(self.m))
+        try:
+            while rows:
+                option, j = search.pivot(rows, basis, [i in dependent for i in left])
+                basis = search.applied(option, basis)
+                rows.remove(option.row)
+                del left[j]
+        except TooLong:
+            raise NotReduced("the dependent velocities are too long in closed form") from None
+        equations = _Equations(self, forms, basis)
+        equations.begin()
+        return self.returned(equations.best())
+
+    def returned(self, best: Reduced) -> Reduced:
+        """Return equations in the graph of the model."""
         graph, copies = self.derived.read.graph, dict[Node, Node]()
 
         def back(nodes: Sequence[Node]) -> tuple[Node, ...]:
@@ -297,10 +332,29 @@ class _Search:
         self._products: dict[tuple[int, int], Polynomial] = {}
         self._kept: list[Column] = []  # so that their identity is not that of others
 
-    def bases(self) -> Iterator[_Basis]:
+    def start(self) -> _Basis:
         unit = [[UNIT if i == j else {} for i in range(self.n)] for j in range(self.n)]
-        start = _Basis(unit, [list(c) for c in unit], [{} for _ in range(self.n)])
-        yield from self._bases(list(range(self.m)), start)
+        return _Basis(unit, [list(c) for c in unit], [{} for _ in range(self.n)])
+
+    def bases(self) -> Iterator[_Basis]:
+        yield from self._bases(list(range(self.m)), self.start())
+
+    def pivot(
+        self, rows: list[int], basis: _Basis, allowed: Sequence[bool]
+    ) -> tuple[_Option, int]:
+        """Return the shortest pivot in allowed columns, which may vanish, and its column."""
+        found = []
+        for r in rows:
+            entries = [self.product(r, c) for c in basis.columns]
+            shift = total((self.a[r], 1), (self.product(r, basis.shift), 1))
+            found += [
+                (len(x), _Option("pivot", r, entries, shift, True, (j,), ()), j)
+                for j, x in enumerate(entries) if x and allowed[j]
+            ]  # fmt: skip
+        if not found:
+            raise NotReduced("the independent velocities do not determine the dependent ones")
+        _, option, j = min(found, key=lambda x: x[0])
+        return option, j
 
     def _bases(self, rows: list[int], basis: _Basis) -> Iterator[_Basis]:
         if not rows:

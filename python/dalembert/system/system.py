@@ -684,24 +684,31 @@ class System(Handle):
             raise ValueError(f"the system {self.name!r} was not made by from_sympy")
         return self._model, symbolic.constructor.c_identifier(name, self.name)
 
-    def reduced(self) -> Any:
+    def reduced(self, dependent: str | Iterable[str] | None = None) -> Any:
         """Return the equations of motion on D in closed form, as by Hamel.
 
         The velocities are v = E(q) w + e(q), with a basis E of the kernel of mu that has full rank
         wherever mu has.  The scheme "taylor" integrates these equations.  Before they are returned
         they are compared with the multipliers, at two points with 40 digits.
 
+        Parameters
+        ----------
+        dependent : str or iterable of str, optional
+            Names of m coordinates.  Then w are the velocities of the others, and the equations hold
+            where these determine the dependent ones, as in a `Chart`.
+
         Returns
         -------
         dalembert.symbolic.equations.Equations
-            w, E, e, rates (of w) and how (E was found), in SymPy; in a notebook a formula.
+            w, E, e, rates (of w) and how (E was found), in SymPy; in a notebook a formula; ``c`` is
+            the same as two C functions.
 
         Raises
         ------
         NotImplementedError
             If no such E is found, or the constraints are nonlinear.
         ValueError
-            If the system has no formulas.
+            If the system has no formulas, or other than m names of coordinates are given.
 
         Examples
         --------
@@ -713,7 +720,8 @@ class System(Handle):
         [         0, 1]])
         """
         model = symbolic.expressions.model(self) if self._model is None else self._model
-        return symbolic.equations.equations(model)
+        places = None if dependent is None else geometry.chart.indices(self, dependent)
+        return symbolic.equations.equations(model, places)
 
     def _repr_latex_(self) -> str | None:
         """Return L, mu and the equations of motion for a notebook, None without expressions."""

@@ -11,6 +11,7 @@ import sympy
 from scipy.integrate import solve_ivp
 
 import dalembert as dal
+from dalembert.core import lib
 from dalembert.ensembles import api, block
 from dalembert.system import twins
 from dalembert.symbolic import expressions
@@ -68,6 +69,42 @@ def test_lanes_are_runs(scheme):
     assert there.worst_residual[good].max() <= 4 * 3 * U
 
 
+def test_series_of_four_are_runs_to_the_bit():
+    """Of members that are refused, leave the domain, or are alone at the end of a block, too."""
+    q0, v0, values = data(38)
+    given = {"h": 0.5, "steps": 12, "stride": 3, "keep": ["all", "energy", "residual", "theta"]}
+    with pytest.warns(dal.DalembertWarning, match="of 38 members failed"):
+        plain = many(skate(), "taylor", q0, v0, values, lanes=False, **given)
+        several = [many(skate(), "taylor", q0, v0, values, block=k, **given) for k in (1, 6, 38)]
+    assert {3, 7, 11} <= {*plain.failed.tolist()} and plain.success.sum() > 30
+    for there in several:
+        assert there.lanes and (there.status == plain.status).all()
+        assert (there.done == plain.done).all()
+        assert [there.message(k) for k in range(38)] == [plain.message(k) for k in range(38)]
+        for name in plain.kept:
+            np.testing.assert_array_equal(there[name], plain[name], err_msg=name)
+    run = dal.integrate(skate().with_parameters(k=values["k"][5], m=values["m"][5]), "taylor",
+                        q0, v0[5], h=0.5, steps=12)  # fmt: skip
+    np.testing.assert_array_equal(run.x[::3, :3], plain["q"][5])
+
+
+def test_series_of_four_are_computed_together(monkeypatch):
+    """Of a system in C too, and one series for four motions serves them."""
+    x, y, z = dal.coordinates("x y z")
+    springs = dal.System.from_sympy(
+        (x.d**2 + y.d**2 + z.d**2 - x**2 - 2 * y**2) / 2, [z.d - y * x.d], q0=[1, 0, 0],
+        v0=[0, 1, 0],
+    )  # fmt: skip
+    for system in (springs, dal.systems.particle_oscillator()):
+        twin = twins.twin(system, "four series")
+        assert lib.dal_system_has_series(twin._handle) == 2
+        v0 = np.outer(np.linspace(0.5, 2, 9), system.v0)
+        ends = [many(system, "taylor", v0=v0, q0=system.q0, h=1.0, steps=7, lanes=lanes)
+                for lanes in (False, True)]  # fmt: skip
+        np.testing.assert_array_equal(*(end.q for end in ends))
+        assert (ends[0].stats["evaluations"] == ends[1].stats["evaluations"]).all()
+
+
 def test_order_threads_and_blocks_change_no_bit():
     q0, v0, values = data(61)
     given = {"h": 0.03, "steps": 60, "keep": ["all", "energy", "reactions"], "stride": 15}
@@ -119,6 +156,10 @@ def test_what_has_no_lanes():
     assert twins.twin(train, "lanes") is None
     values = {"a": np.linspace(0.18, 0.22, 5)}
     given = {"h": 0.01, "steps": 20}
+    x, a, u = *dal.coordinates("x"), *sympy.symbols("a u")
+    start = {"parameters": {a: 1.0}, "q0": [0.5], "v0": [0]}
+    kinked = dal.System.from_sympy(x.d**2 / 2 - a * abs(x), [], name="kinked", **start)
+    pushed = dal.System.from_sympy(x.d**2 / 2, [], force={x: a * u}, inputs=[u], **start)
     for system, scheme, more, why in (
         (train, "midpoint", {}, "'n_trailer' needs .* at most 8 coordinates"),
         (dal.systems.sleigh(), "midpoint-nodes", {"initial": "shift"}, "'midpoint-nodes' has kept"),
@@ -126,6 +167,8 @@ def test_what_has_no_lanes():
         (dal.systems.sleigh(), "reference", {}, "'reference' has .* no sub-steps"),
         (dal.systems.sleigh(), "midpoint", {"events": [lambda t, q, v: q[0] - 0.01]}, "events"),
         (dal.systems.sleigh(), "midpoint", {"energy": "keep"}, "energy"),
+        (kinked, "taylor", {}, "'kinked' has kinks or jumps"),
+        (pushed, "taylor", {"inputs": [0.1]}, "inputs change the series"),
         (dal.systems.sleigh(), "midpoint", {"keep": lambda run: run.q[-1]}, "Python functions"),
     ):
         chosen = given if system is train else given | {"parameters": values}

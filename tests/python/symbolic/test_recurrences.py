@@ -26,6 +26,36 @@ DAL_API void tried(double t, const double *y, const double *low, double unit, co
     model_series.expand(&at, %d, Y, work, (const double[]){2.5, 0.3});
 }
 """ % ORDER  # fmt: skip
+SHIM_OF_FOUR = """
+#include <string.h>
+DAL_API int differ(const double *y, const double *low, int exact)
+{
+    enum { ORDER = %d, SIZE = (ORDER + 1) * 128 };
+    static double one[SIZE] __attribute__((aligned(64))), four[4][SIZE] __attribute__((aligned(64)));
+    static double work[400000] __attribute__((aligned(64)));
+    const dal_series *const series = &model_series;
+    dal_series_at at[4];
+    const dal_series_at *of[4];
+    const void *p[4];
+    double *Y[4];
+    int found = 0;
+    for (int i = 0; i < 4; i++) {
+        const size_t begin = (size_t)i * (series->states + 4);
+        static const double parameters[4] = {2.5, 0.3, 1.5, 4.0};
+        at[i] = (dal_series_at){.t = 0.25 * i, .unit = i == 1 ? 0.25 : 0.5, .exact = (size_t)exact,
+                                .y = y + begin, .low = low + begin};
+        of[i] = &at[i];
+        p[i] = &parameters[i];
+        Y[i] = four[i];
+    }
+    series->expand_four(of, ORDER, Y, work, p);
+    for (int i = 0; i < 4; i++) {
+        series->expand(&at[i], ORDER, one, work, p[i]);
+        found += memcmp(one, four[i], (ORDER + 1) * series->width * sizeof(double)) != 0;
+    }
+    return found;
+}
+""" % ORDER  # fmt: skip
 
 s, c = dal.time, sp.Symbol("c")
 z = dal.coordinates("z0:40")
@@ -116,6 +146,43 @@ def test_coefficients(name, kind):
         assert abs(speed[k] - expected) <= 1e-15 * k * (abs(expected) + 1e-3 * float(scale)), k
     place = found[2:, i]
     np.testing.assert_allclose(place, 0.25 * speed[1:-1] / np.arange(2, ORDER + 1), rtol=4e-16)
+
+
+def test_four_at_once():
+    """Each has the bits that it has alone, with a time, a unit and numbers of its own."""
+    walls = ("Abs", "Max", "Min", "sign", "Heaviside", "Piecewise")
+    smooth = [f for name, f in FUNCTIONS.items() if name not in walls]
+    x, *others = coordinates = z[: len(smooth) + 1]
+    force = {q: f(s / 9 + x / 2) for q, f in zip(others, smooth)} | {x: sp.sin(1e5 * x + c * x)}
+    system = dal.System.from_sympy(
+        sum(q.d**2 for q in coordinates) / 2, [], force=force, parameters={c: 2.5},
+        coordinates=coordinates,
+    )  # fmt: skip
+    program = codegen.program(system._model, part="four series").source + SHIM_OF_FOUR
+    with tempfile.NamedTemporaryFile(suffix=".so") as file:
+        file.write(compiler.compile_program(compiler.find(), program))
+        file.flush()
+        library = ctypes.CDLL(file.name)
+    starts = np.random.default_rng(4).uniform(0.4, 0.9, (4, 2 * len(coordinates) + 4))
+    given = [np.ascontiguousarray(x) for x in (starts, 1e-17 * starts)]
+    for exact in (0, 10):
+        assert library.differ(*(ctypes.c_void_p(x.ctypes.data) for x in given), exact) == 0
+
+
+PUSHES = {
+    "waves": (sp.sin(s) * sp.cos(2 * s) + z[0] * sp.cos(1 + c * s), False),
+    "a power": (s**4, False), "a high one": (s**5, True), "narrow waves": (sp.cos(s) ** 6, True),
+    "a pulse": (sp.exp(-((s - 3) ** 2)), True), "a start": (sp.tanh(s - 3), True),
+    "a chirp": (sp.sin(s**2), True), "of the state too": (sp.cos(s + z[0]), True),
+    "over a wave": (1 / (2 + sp.cos(s)), True), "none": (sp.cos(z[0]), False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PUSHES)
+def test_whether_something_may_come(name):
+    force, expected = PUSHES[name]
+    system = dal.System.from_sympy(z[0].d ** 2 / 2, [], force={z[0]: force}, parameters={c: 1})
+    assert series_of(system._model, motion(system._model)).is_timed == expected
 
 
 def test_all_functions_have_a_rule():

@@ -1,6 +1,8 @@
 """The equations on D: against the multipliers, by operations on columns, and their cost."""
 
+import ctypes
 import dataclasses
+import subprocess
 import sys
 from fractions import Fraction
 from pathlib import Path
@@ -12,6 +14,7 @@ import sympy as sp
 from sympy import Rational, cos, sin
 
 import dalembert as dal
+from dalembert import compiler
 from dalembert.symbolic import given
 from dalembert.symbolic.convolutions import cost
 from dalembert.symbolic.graph import Graph, below
@@ -461,3 +464,37 @@ def test_equations_for_people():
         round_.reduced()
     with pytest.raises(ValueError, match="has no formulas"):
         dal.System(mass=[1.0]).reduced()
+
+
+@pytest.mark.parametrize("name", ["particle", "sleigh", "snakeboard", "cvt", "disguised"])
+def test_closed_charts(name, tmp_path):
+    """In closed form, and in C, a chart is what it is in numbers."""
+    system = dal.systems.get(name)
+    n, k = system.n, system.n - system.m
+    chart = dal.Chart(system)
+    closed = chart.closed()
+    xi = np.random.default_rng(1).uniform(0.2, 0.9, n + k)
+    q, v = chart.lift(xi)
+    symbols = [sp.Symbol(x) for x in (*system.coordinates, *system.parameters)]
+    values = dict(zip(symbols, [*q, *system.parameters.values()]))
+    plain = {x: sp.Symbol(x.name) for x in closed.E.free_symbols | closed.e.free_symbols}
+    E, e = (np.array(x.xreplace(plain).subs(values), dtype=float) for x in (closed.E, closed.e))
+    np.testing.assert_allclose(E @ xi[n:] + e[:, 0], v, atol=1e-14)
+    (tmp_path / "own.c").write_text(closed.c)
+    command = [*compiler.find().command, "-shared", "-fPIC", "own.c", "-o", "own.so", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    library = ctypes.CDLL(str(tmp_path / "own.so"))
+    outs = np.zeros(n), np.zeros(k)
+    p = np.array([*system.parameters.values(), 0.0])
+    given = [ctypes.c_void_p(x.ctypes.data) for x in (q, xi[n:].copy(), p, p)]
+    for function, out in zip((library.velocity, library.rates), outs):
+        function(ctypes.c_double(0.0), *given, ctypes.c_void_p(out.ctypes.data))
+    np.testing.assert_allclose(np.concatenate(outs), chart.field(xi), atol=1e-13)
+
+
+def test_what_is_no_chart():
+    blade = dal.systems.knife_edge()
+    with pytest.raises(NotImplementedError, match="do not determine the dependent"):
+        blade.reduced("theta")
+    with pytest.raises(ValueError, match="expected m = 1 names"):
+        blade.reduced(["x", "y"])
