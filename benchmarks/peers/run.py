@@ -4,8 +4,9 @@ Usage: ``python run.py [--quick | --long] [--problem NAME]... [--merge] [--out F
 
 Writes peers.json, peers.md, peers-state.png and peers-energy.png into FOLDER, by default docs/ of
 this checkout, and, with --quick, nowhere: then the table is printed only.  With --merge problems
-that are not named stay as they are in the peers.json of FOLDER.  A default run takes some 90
-minutes, --quick a few, --long, which gives slow methods more time, some hours.
+that are not named stay as they are in the peers.json of FOLDER.  A default run takes half an
+hour, --quick a few minutes, --long, which goes to T = 1e7 and gives slow methods more time, some
+hours.
 
 Times are those of the process during the call that a user makes, medians over rounds in each of
 which every method runs once with each of its settings, in another order.  What is done before, such
@@ -65,7 +66,7 @@ class Effort:
 
 
 EFFORTS = {
-    "default": Effort(5, 2.0, 1e7, 100.0, 3.0, 2.0),
+    "default": Effort(5, 1.5, 1e6, 15.0, 1.5, 1.0),
     "quick": Effort(2, 0.1, 1e4, 0.2, 0.2, 0.5, 100.0, 3),
     "long": Effort(7, 4.0, 1e7, 200.0, 20.0, 20.0),
 }
