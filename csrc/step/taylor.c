@@ -62,6 +62,9 @@ static const double LEAST_ALLOWED = 1e-10;
 /* Pivots of C below so many times the tolerance may be errors of the steps, as in flow.c. */
 static const double PER_TOLERANCE = 10.0;
 
+/* The square of what roundoff may do to the first acceleration. */
+static const double ALLOWED_LOSS = 1e-16;
+
 /* A switch that has been crossed stays so for this many roundings of t. */
 static const double NEAR = 64.0;
 
@@ -92,6 +95,7 @@ typedef struct taylor {
     double *none;            /* [switches] zeros */
     size_t switched;         /* the switch at which the piece ends, or the number of switches */
     double *coefficients, *next, *work; /* aligned to ALIGNED */
+    double *saved;           /* the state before several motions were led on */
     bool going;              /* the piece leads on from x, */
     bool stale;              /* but its coefficients are not those of y */
     bool fresh;              /* x is that of a saved state, and not known yet */
@@ -108,6 +112,9 @@ static double *aligned(double *block)
     const uintptr_t at = (uintptr_t)block;
     return block + (ALIGNED - at % ALIGNED) % ALIGNED / sizeof(double);
 }
+
+static size_t save(const void *method, double *values);
+static void restore(void *method, const double *values);
 
 static int make(void **method, dal_motion *motion, dal_error *error)
 {
@@ -146,6 +153,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     DAL__RESERVE(&memory, rows * shape.width + spare, &shape.coefficients, &shape.next);
     const size_t several = series->expand_four ? FOUR : 1;
     DAL__RESERVE(&memory, several * rows * series->room + spare, &shape.work);
+    DAL__RESERVE(&memory, save(&shape, NULL), &shape.saved);
     status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;
@@ -670,6 +678,38 @@ static bool is_at(const taylor *self, const dal_motion *motion, double t)
         && memcmp(self->x, motion->x, 2 * self->n * sizeof(double)) == 0;
 }
 
+/* The first piece begins at x: whether its acceleration is that of the multipliers there, but for
+ * roundoff.  Formulas in which very different units are mixed may lose all digits.  Where the
+ * multipliers are not known, or a force jumps, nothing is said. */
+static int check_acceleration(taylor *self, dal_motion *motion)
+{
+    dal_mechanics *const mech = motion->mechanics;
+    const size_t n = self->n;
+    const double *const Y = self->coefficients;
+    double *const a = self->change, *const y = self->slope, product[3] = {0.0};
+    for (size_t i = 0; i < self->series->switches; i++)
+        if (self->crossed[i] != 0.0 || switch_at(self, i)[0] == 0.0) return DAL_SUCCESS;
+    if (!self->series->in_D || dal__field(mech, self->t, self->x, mech->point)
+        || dal__build_metric(mech, self->t, self->x, self->x + n)) {
+        *motion->error = (dal_error){0};
+        return DAL_SUCCESS;
+    }
+    for (size_t k = 0; k < 3; k++) { /* of the difference, the acceleration, and the velocity */
+        for (size_t i = 0; i < n; i++) {
+            const double series = 2.0 * Y[2 * self->width + i] / self->unit / self->unit;
+            a[i] = k == 2 ? self->x[n + i] / self->last_length
+                          : mech->point[n + i] - (k == 0 ? series : 0.0);
+        }
+        dal__weigh(mech, a, y);
+        for (size_t i = 0; i < n; i++) product[k] += a[i] * y[i];
+    }
+    if (!(product[0] > ALLOWED_LOSS * (product[1] + product[2]))) return DAL_SUCCESS;
+    return dal__fail(motion->error, DAL_EDOMAIN, "at t = %.17g roundoff of the equations on D is "
+                     "%.1e of the acceleration: the units of the coordinates are too far apart, or "
+                     "D is nearly singular; choose other units, or the scheme \"reference\"",
+                     self->t, sqrt(product[0] / (product[1] + product[2])));
+}
+
 /* The first piece, from x at t. */
 static int begin(taylor *self, dal_motion *motion, double t)
 {
@@ -689,7 +729,8 @@ static int begin(taylor *self, dal_motion *motion, double t)
     memcpy(self->x, motion->x, 2 * n * sizeof(double));
     memcpy(self->row, self->y, size);
     memcpy(self->row_low, self->low, size);
-    return begin_piece(self, motion);
+    const int status = begin_piece(self, motion);
+    return status ? status : check_acceleration(self, motion);
 }
 
 /* A piece that leads on from where the motion is, at t. */
@@ -846,9 +887,11 @@ void dal__taylor_advance(dal__side *sides, size_t count)
 {
     for (size_t i = 0; i < count; i++) {
         dal_stepper *const stepper = sides[i].stepper;
+        taylor *const self = stepper->method;
+        save(self, self->saved);
         sides[i].made = sides[i].steps == 0;
         sides[i].status = sides[i].made ? DAL_SUCCESS
-            : follow(stepper->method, &stepper->motion, time_of(&stepper->motion, 0));
+            : follow(self, &stepper->motion, time_of(&stepper->motion, 0));
     }
     for (bool going = true; going;) {
         dal__side *planned[FOUR];
@@ -864,7 +907,7 @@ void dal__taylor_advance(dal__side *sides, size_t count)
     }
     for (size_t i = 0; i < count; i++) {
         taylor *const self = sides[i].stepper->method;
-        if (sides[i].status) self->going = false; /* from its last state it goes on alone */
+        if (sides[i].status) restore(self, self->saved); /* from there it goes on alone */
         else sides[i].stepper->motion.steps += sides[i].steps;
     }
 }

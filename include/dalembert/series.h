@@ -202,7 +202,7 @@ DAL_LU_INLINE double dal_series_most(const dal_four *x)
 }
 
 /* A change that is so much smaller than the largest number of y needs no digits of its own. */
-#define DAL_SERIES_FLOOR 0x1p-150
+#define DAL_SERIES_FLOOR 0x1p-500
 
 /* dal_series_decay where a state has no coefficients of orders 1 to 3. */
 DAL_LU_RARE void dal_series_decay_of_any(size_t width, size_t order, const double *Y,

@@ -194,7 +194,8 @@ class Writer:
     def _low_part(self, e: Node, found: list[str]) -> None:
         """Add the low part of a state, of sums of states, and of multiples of a state.
 
-        So an angle of many turns has the sine of the angle, not that of its rounding.
+        So an angle of many turns has the sine of the angle, not that of its rounding, and a
+        distance the digits that its ends have lost far from the origin.
         """
         name, number = f"a{self._number[e]}", self._number[e]
         if e.op == "symbol":
@@ -205,14 +206,16 @@ class Writer:
             if not any(parts):
                 return
             a, b = map(self._part, e.args)
-            sign = e.op
-            back = f"z{number}"
+            sign, sum, back = e.op, f"y{number}", f"z{number}"
             lows = f"{parts[0] or '0.0'} {sign} {parts[1] or '0.0'}"
-            found.append(f"const {self.type} {back} = {name} - {a};")
-            found.append(
-                f"const {self.type} l{number} = ({a} - ({name} - {back})) + ({sign}{b} - {back}) "
-                f"+ ({lows});"
-            )
+            found[-1] = f"const {self.type} {sum} = {a} {sign} {b};"
+            found += [
+                f"const {self.type} {back} = {sum} - {a};",
+                f"const {self.type} x{number} = ({a} - ({sum} - {back})) + "
+                f"({sign}{b} - {back}) + ({lows});",
+                f"const {self.type} {name} = {sum} + x{number};",
+                f"const {self.type} l{number} = x{number} - ({name} - {sum});",
+            ]
             self._low[e] = f"l{number}"
         elif e.op == "*":
             for one, other in (e.args, e.args[::-1]):

@@ -5,6 +5,8 @@ node is a letter, too, and left as it is.  The square of a sine is 1 - c^2 for t
 function that is constant, or 0, is seen to be so in most cases.
 
 A polynomial that becomes too long is a letter of its own.  So chains stay as short as they are.
+A sum of places, such as a distance x - c, is a letter in every product: far from the origin its
+square would lose all digits as x^2 - 2 c x + c^2.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ ONE: Monomial = ()
 UNIT: Polynomial = {ONE: 1}
 
 _LONGEST = 60  # terms of the polynomial of a node
+_LONGEST_ROOT = 16  # numerator or denominator of a power of a root
+_NEAR = 8  # the largest constant of a sum that is expanded
 _LARGEST = 4  # multiple of an angle, or power of a sum, that is expanded
 _PATIENCE = 4000  # products of terms in one product of polynomials
 
@@ -43,8 +47,10 @@ class Forms:
     Parameters
     ----------
     graph : Graph
-    moving : iterable of Node
-        The symbols that change with time; all others are constants.
+    places : iterable of Node
+        Coordinates and the time.
+    rates : iterable of Node
+        The other symbols that change with time.  All that are in neither are constants.
     signs : mapping of Node to int
         Constants that are known to be positive (1), negative (-1), or nonzero (0).
     expands : bool, optional
@@ -52,10 +58,10 @@ class Forms:
     """
 
     def __init__(
-        self, graph: Graph, moving: Iterable[Node], signs: Mapping[Node, int],
-        expands: bool = True,
+        self, graph: Graph, places: Iterable[Node], rates: Iterable[Node],
+        signs: Mapping[Node, int], expands: bool = True,
     ) -> None:  # fmt: skip
-        self.graph, self.mask = graph, mask_of(moving)
+        self.graph, self.places, self.mask = graph, mask_of(places), mask_of([*places, *rates])
         self.signs, self.expands = signs, expands
         self.letters: list[Node] = []
         self.left = math.inf  # products of terms
@@ -91,6 +97,37 @@ class Forms:
             found = self._known[node]
         return found
 
+    def factor(self, node: Node) -> Polynomial:
+        """Return the polynomial of a node for products: of a sum of places, a letter."""
+        found = self.of(node)
+        return self.letter(node) if self._is_distance(found) else found
+
+    def _is_distance(self, a: Polynomial) -> bool:
+        """Return whether a polynomial is the distance of places that may be far from the origin.
+
+        It is linear in coordinates, of which two have opposite signs, or one comes with a constant
+        that is a parameter or a large number.
+        """
+        if len(a) < 2:
+            return False
+        unit = inverted(lowest(a))
+        sizes, far = list[Number](), False
+        alone: Number = 0
+        for term, x in a.items():
+            inside = [(self.letters[g], k) for g, k in term if self.is_moving(g)]
+            if not inside:
+                far, alone = far or bool(joined(term, unit)), x
+            elif len(inside) > 1 or inside[0][1] != 1 or not self._is_place(inside[0][0]):
+                return False
+            else:
+                sizes.append(x)
+        if not sizes:
+            return False
+        return far or min(sizes) < 0 < max(sizes) or abs(alone) > _NEAR * min(map(abs, sizes))
+
+    def _is_place(self, e: Node) -> bool:
+        return e.op == "symbol" and bool(e.reach & self.places)
+
     def _short(self, e: Node) -> Polynomial:
         try:
             found = self.reduced(self._of(e))
@@ -107,9 +144,11 @@ class Forms:
         if e.op in ("+", "-"):
             return total((args[0], 1), (args[1], 1 if e.op == "+" else -1))
         if e.op == "*":
+            if not any(map(self.is_constant, args)):
+                args = [self.factor(a) for a in e.args]
             return self.multiplied(*args)
         if e.op == "pow":
-            return self.power(args[0], e.value, e.args[0])
+            return self.power(self.factor(e.args[0]), e.value, e.args[0])
         if e.op in ("sin", "cos"):
             cosine, sine = self.angle(args[0], e.args[0])
             return cosine if e.op == "cos" else sine
@@ -133,6 +172,10 @@ class Forms:
         if exponent.denominator == 1:
             inverse = self.graph.power(base, -1 if exponent < 0 else 1)
             return self.letter(inverse, abs(int(exponent)))
+        if max(abs(exponent.numerator), exponent.denominator) > _LONGEST_ROOT:  # as of a Float
+            whole = math.floor(exponent)
+            rest = self.letter(self.graph.power(base, exponent - whole))
+            return self.multiplied(rest, self.power(a, whole, base))
         sign = 1 if exponent > 0 else -1
         root = self.graph.power(base, Fraction(sign, exponent.denominator))
         return self.letter(root, abs(exponent.numerator))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from typing import Any
 
 import mpmath
 
-from .graph import Node
+from .graph import Node, Number, below
 from .model import Model
 from .recurrences import Series
 from .reduced import NotReduced, Reduced
@@ -58,42 +59,79 @@ def motion(model: Model) -> Motion:
 def agrees(model: Model, found: Reduced) -> bool:
     """Return whether equations on D give the acceleration with the multipliers, at two points.
 
-    The acceleration is that of the matrix [[M, mu^T], [mu, 0]], with 40 digits.
+    The acceleration is that of the matrix [[M, mu^T], [mu, 0]], with 40 digits.  Among very large
+    or small numbers some terms are seen only where the state is as large or small: there are more
+    points, and digits.
     """
-    read, n, m = model.derived.read, model.n, model.m
-    terms = model.derived.terms.outputs
-    motion = dict(zip(map(read, model.q), found.velocity)) | dict(zip(found.w, found.rates))
-    graph = found.velocity[0].graph
-    slopes = graph.along(found.velocity, motion | {read(TIME): graph.one})
     names = [x.name for x in (*model.q, *model.p, *model.u, TIME)] + [x.value for x in found.w]
+    groups = [x.name for x in model.q], [x.value for x in found.w]
+    comparison = _Comparison(model, found)
     source, tried = random.Random(2), 0
-    with mpmath.workdps(40):
-        for _ in range(_POINTS):
-            point: dict[str, Any] = {x: source.randint(200, 1100) / 1000 for x in names}
-            point |= zip((x.name for x in model.v), values(found.velocity, point))
+    far = max(map(_digits, comparison.numbers), default=0.0)
+    is_far = far > _FAR
+    digits = 40 + int(4 * far) * is_far
+    for k in range(4 * _POINTS if is_far else _POINTS):
+        point: dict[str, Any] = {x: source.randint(200, 1100) / 1000 for x in names}
+        for group in groups if k > 1 and is_far else ():
+            size = mpmath.mpf(10) ** source.uniform(-far, far)
+            point |= {x: size * point[x] for x in group}
+        apart = comparison.apart(point, digits)
+        if apart is None:
+            continue
+        difference, size = apart
+        if difference > size * _CLOSE:  # unless it is roundoff, where the acceleration is 0
+            again = comparison.apart(point, 2 * digits)
+            if again is None or again[0] > difference * _CLOSE:
+                return False
+        tried += 1
+        if tried == 2 and not is_far:
+            break
+    return True
+
+
+class _Comparison:
+    """The acceleration of equations on D, and that with the multipliers."""
+
+    def __init__(self, model: Model, found: Reduced) -> None:
+        self.model, self.found = model, found
+        read = model.derived.read
+        motion = dict(zip(map(read, model.q), found.velocity)) | dict(zip(found.w, found.rates))
+        graph = found.velocity[0].graph
+        self.slopes = graph.along(found.velocity, motion | {read(TIME): graph.one})
+
+    @property
+    def numbers(self) -> list[Number]:
+        return [e.value for e in below(self.slopes) if e.op == "number" and e.value]
+
+    def apart(self, point: dict[str, Any], digits: int) -> tuple[Any, Any] | None:
+        """Return the largest difference, and the largest component; None outside the domain."""
+        model, found, n, m = self.model, self.found, self.model.n, self.model.m
+        terms = model.derived.terms.outputs
+        with mpmath.workdps(digits):
+            point = point | dict(zip((x.name for x in model.v), values(found.velocity, point)))
             M = values(model.derived.mass or terms["M"], point)
             mu, F, g = (values(terms.get(x, ()), point) for x in ("mu", "F", "g"))
-            given = values(slopes, point)
+            given = values(self.slopes, point)
             if not all(map(mpmath.isfinite, (*M, *mu, *F, *g, *given))):
-                continue  # not in the domain
+                return None
             above = [[*row, *mu[i::n]] for i, row in enumerate(_rows(M, n))]
             whole = [*above, *([*row, *[0] * m] for row in _rows(mu, n))]
             right = [*F, *(-x for x in g)]
             try:
                 expected = mpmath.lu_solve(mpmath.matrix(whole), mpmath.matrix(right))[:n]
             except ZeroDivisionError:
-                continue
-            size = max(map(abs, (*expected, *given)))
-            if any(abs(x - y) > size * _CLOSE for x, y in zip(given, expected)):
-                return False
-            tried += 1
-            if tried == 2:
-                break
-    return True
+                return None
+            return max(abs(x - y) for x, y in zip(given, expected)), max(map(abs, (*expected, *given)))
+
+
+def _digits(x: Number) -> float:
+    """Return how far a number is from 1, in decimal digits."""
+    return abs(math.log10(abs(x.numerator)) - math.log10(x.denominator))
 
 
 _POINTS = 8  # of which two have to be in the domain
 _CLOSE = mpmath.mpf(10) ** -20
+_FAR = 8  # decimal digits of a very large or small number
 
 
 def series_of(model: Model, motion: Motion) -> Series:

@@ -184,7 +184,7 @@ class _Reduction:
             p: sign for p, words in zip(self.p, model.assumptions)
             if (sign := _sign(words)) is not None
         }  # fmt: skip
-        moving = [*self.q, *self.v, *self.w, self.t]
+        self.moving = [*self.q, self.t], [*self.v, *self.w]
         several = [e for e in below([*self.mu, *self.M, *self.F]) if e.op in ("sin", "cos", "tan")]
         has_sums = any(e.args[0].op in ("+", "-", "*") for e in several)
         self.searches: list[tuple[bool, bool, int]] = []  # expands sines, is for chains, bases
@@ -192,14 +192,13 @@ class _Reduction:
             self.searches += [(True, False, _BASES), (False, False, 2)][: 1 + has_sums]
         if self.m > 2:
             self.searches.append((False, True, 1))
-        self.moving = moving
 
     def best(self) -> Reduced:
         """Return the equations with the least cost."""
         found: list[tuple[int, _Equations]] = []
         for expands, is_chain, count in self.searches:
             seen = set()
-            forms = Forms(self.graph, self.moving, self.signs, expands)
+            forms = Forms(self.graph, *self.moving, self.signs, expands)
             for basis in itertools.islice(_Search(self, forms, is_chain).bases(), count):
                 key = tuple(frozenset(e.items()) for column in basis.columns for e in column)
                 is_long = sum(len(e) for column in basis.columns for e in column) > _LARGEST_BASIS
@@ -219,7 +218,7 @@ class _Reduction:
 
     def in_chart(self, dependent: Collection[int]) -> Reduced:
         """Return the equations with the velocities of some coordinates eliminated."""
-        forms = Forms(self.graph, self.moving, self.signs, True)
+        forms = Forms(self.graph, *self.moving, self.signs)
         search = _Search(self, forms, False)
         basis, left = search.start(), list(range(self.n))
         rows = list(range(self.m))
@@ -325,9 +324,9 @@ class _Search:
         self.n, self.m, self.graph = reduction.n, reduction.m, reduction.graph
         n = self.n
         self.mu = [
-            [forms.of(e) for e in reduction.mu[r * n : (r + 1) * n]] for r in range(self.m)
+            [forms.factor(e) for e in reduction.mu[r * n : (r + 1) * n]] for r in range(self.m)
         ]  # fmt: skip
-        self.a = [forms.of(e) for e in reduction.a]
+        self.a = [forms.factor(e) for e in reduction.a]
         self.left = _TRIES + self.m
         self._products: dict[tuple[int, int], Polynomial] = {}
         self._kept: list[Column] = []  # so that their identity is not that of others
@@ -677,16 +676,14 @@ class _Equations:
         reduction, graph, n = self.reduction, self.graph, self.n
         if reduction.derived.mass is not None:
             return [_sum(graph, reduction.M[i * n : (i + 1) * n], x) for i in range(n)]
-        L_v = reduction.L_v
-        there = graph.replaced(L_v, dict(zip(reduction.v, x)))
-        return [a - b for a, b in zip(there, graph.replaced(L_v, reduction.rest))]
+        return graph.along(reduction.L_v, dict(zip(reduction.v, x)))
 
     # ---- in normal forms -------------------------------------------------------------------
 
     def by_forms(self, named: bool) -> None:
         """Make equations in normal forms, with v as it is, if ``named``, or in terms of w."""
         reduction, forms, n = self.reduction, self.forms, self.n
-        M = [[forms.of(e) for e in reduction.M[i * n : (i + 1) * n]] for i in range(n)]
+        M = [[forms.factor(e) for e in reduction.M[i * n : (i + 1) * n]] for i in range(n)]
         rule = {
             self.place(v): x for v, x in zip(reduction.v, self.V)
             if not named or len(x) <= 1 and all(not self.depends(g) for t in x for g, _ in t)
@@ -858,7 +855,7 @@ class _Equations:
             for i, row in zip(block, adjugate):
                 for j, x in zip(block, row):
                     inverse[i][j] = forms.over(x, determinant)
-        mu = [[forms.of(e) for e in reduction.mu[r * n : (r + 1) * n]] for r in range(m)]
+        mu = [[forms.factor(e) for e in reduction.mu[r * n : (r + 1) * n]] for r in range(m)]
         g = [self.replaced(forms.of(e), rule) for e in reduction.g]
         free = [_dot(forms, row, F) for row in inverse]
         pull = [[_dot(forms, row, x) for x in mu] for row in inverse]

@@ -18,9 +18,9 @@ from dalembert import compiler
 from dalembert.symbolic import given
 from dalembert.symbolic.convolutions import cost
 from dalembert.symbolic.graph import Graph, below
-from dalembert.symbolic.motion import motion
+from dalembert.symbolic.motion import agrees, motion
 from dalembert.symbolic.printing import as_function
-from dalembert.symbolic.reduced import NotReduced, Reduced
+from dalembert.symbolic.reduced import NotReduced, Reduced, _copied
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks/peers"))
 import problems  # noqa: E402
@@ -172,7 +172,7 @@ def catalogue():
     ) / 2 + q3 * v1 * v2 / 5 + v1 * v3 / 10 + q1 * v2 * v3 / 6
     L += q2 * q3 * v1 / 4 + sin(q1) * v2 / 3 - q1 * q2 * v3 / 5
     L -= (q1**2 + 2 * q2**2 + 3 * q3**2 / 2) / 2 + q1**4 / 4 + q1 * q2 * q3 / 5
-    yield "genmass", 66, L, [-q2 * v1 + (q1 / 2 + q3 / 4) * v2 + (1 + q1**2 / 5) * v3], q
+    yield "genmass", 67, L, [-q2 * v1 + (q1 / 2 + q3 / 4) * v2 + (1 + q1**2 / 5) * v3], q
     q, (vx, vy, yaw, lean, spin) = moving("x y alpha beta gamma")
     (_, _, alpha, beta, _), omega = q, spin + yaw * sin(q[3])
     L = (
@@ -379,6 +379,22 @@ def test_walls_and_functions_are_kept():
     Numbers(model).check()
 
 
+ROOTS = sympy.sqrt(1 + X.d**2 + Y.d**2) - sympy.sqrt(4 - Z.d * cos(X))
+
+
+@pytest.mark.parametrize("more", [0, dal.time * Z.d**2])
+def test_kinetic_energies_that_are_no_quadratic_form(more):
+    model = model_of(unit(V3) + ROOTS + more - X * Y, [Z.d - Y * X.d], Q3)
+    Numbers(model).check()
+
+
+def test_powers_that_are_floats():
+    """Their numerators have 16 digits; no monomial has such an exponent."""
+    V = (1 + X**2) ** 0.77 + (2 + cos(Y)) ** -1.3
+    model = model_of(sympy.sqrt(1 + X**2) ** 0.4 * unit(V3) - V, [Z.d - Y * X.d], Q3)
+    Numbers(model).check()
+
+
 def test_angles_that_are_sums():
     """A blade whose heading is the sum of two angles, in units of a half."""
     q, v = moving("x y alpha beta")
@@ -442,6 +458,24 @@ def test_equations_are_compared_before_they_are_believed():
     assert not motion(model).in_D
     with pytest.raises(NotImplementedError, match="are wrong; please report it"):
         blade.reduced()
+
+
+def test_equations_are_compared_where_all_terms_are_seen():
+    """In coarse units a root is linear at velocities of 1."""
+    c = 1e37
+    L = c**2 * unit(V3) + sympy.sqrt(1 + c**2 * X.d**2) - X**2 / 2
+    model = model_of(L, [Z.d - 2 * Y.d], Q3)
+    assert agrees(model, model.reduced)
+    without = model_of(c**2 * unit(V3) - X**2 / 2, [Z.d - 2 * Y.d], Q3).reduced
+    graph, copies = model.derived.read.graph, {}
+
+    def copied(nodes):
+        return tuple(_copied(graph, nodes, copies))
+
+    wrong = dataclasses.replace(model.reduced, **{
+        name: copied(getattr(without, name)) for name in ("w", "velocity", "rates")
+    })  # fmt: skip
+    assert not agrees(model, wrong)
 
 
 def test_equations_for_people():
