@@ -63,7 +63,7 @@ static const double LEAST_ALLOWED = 1e-10;
 static const double PER_TOLERANCE = 10.0;
 
 /* The square of what roundoff may do to the first acceleration. */
-static const double ALLOWED_LOSS = 1e-16;
+static const double ALLOWED_LOSS = 1e-18;
 
 /* A switch that has been crossed stays so for this many roundings of t. */
 static const double NEAR = 64.0;
@@ -686,6 +686,7 @@ static int check_acceleration(taylor *self, dal_motion *motion)
     dal_mechanics *const mech = motion->mechanics;
     const size_t n = self->n;
     const double *const Y = self->coefficients;
+    const double units = allowed_units(self), length = room_for(self, units, self->unit);
     double *const a = self->change, *const y = self->slope, product[3] = {0.0};
     for (size_t i = 0; i < self->series->switches; i++)
         if (self->crossed[i] != 0.0 || switch_at(self, i)[0] == 0.0) return DAL_SUCCESS;
@@ -697,7 +698,7 @@ static int check_acceleration(taylor *self, dal_motion *motion)
     for (size_t k = 0; k < 3; k++) { /* of the difference, the acceleration, and the velocity */
         for (size_t i = 0; i < n; i++) {
             const double series = 2.0 * Y[2 * self->width + i] / self->unit / self->unit;
-            a[i] = k == 2 ? self->x[n + i] / self->last_length
+            a[i] = k == 2 ? self->x[n + i] / length
                           : mech->point[n + i] - (k == 0 ? series : 0.0);
         }
         dal__weigh(mech, a, y);
@@ -705,9 +706,8 @@ static int check_acceleration(taylor *self, dal_motion *motion)
     }
     if (!(product[0] > ALLOWED_LOSS * (product[1] + product[2]))) return DAL_SUCCESS;
     return dal__fail(motion->error, DAL_EDOMAIN, "at t = %.17g roundoff of the equations on D is "
-                     "%.1e of the acceleration: the units of the coordinates are too far apart, or "
-                     "D is nearly singular; choose other units, or the scheme \"reference\"",
-                     self->t, sqrt(product[0] / (product[1] + product[2])));
+                     "too large: the units of coordinates are far apart, or D is nearly singular; "
+                     "choose other units, or the scheme \"reference\"", self->t);
 }
 
 /* The first piece, from x at t. */

@@ -154,10 +154,10 @@ def without_lanes(common: Common, has_inputs: bool) -> str:
         return "Python functions are called for each member"
     if has_inputs and (common.options.inputs is not None or common.system.is_driven):
         return "inputs are functions, or enter constraints"
-    if has_inputs and hold < least:
-        return f"inputs last {hold} steps (hold), and lanes need at least {least}"
     if has_inputs and scheme.family == "taylor":
         return "inputs change the series of each member"
+    if has_inputs and hold < least:
+        return f"inputs last {hold} steps (hold), and lanes need at least {least}"
     other = twin(common.system, _part(common))
     if other is None:
         return (

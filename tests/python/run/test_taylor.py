@@ -493,6 +493,54 @@ def test_units(scale):
     assert abs(run.q[-1, 1] / 1e-20 - np.cos(100 * np.sqrt(2))) < 3e-13
 
 
+@pytest.mark.parametrize("place", [0.0, 2.0**20, -2.0**30])
+def test_far_from_the_origin(place):
+    """Distances keep their digits: the motion relative to a place is that near the origin."""
+    a = sp.Symbol("a")
+    V = (x - a) ** 2 / 2 + sp.cos(x - y) - 1 / sp.sqrt(1 + (x - a) ** 2 + (y - a) ** 2)
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2 + z.d**2 * (1 + (x - y) ** 2)) / 2 - V, [z.d - (y - a) * x.d],
+        parameters={a: place},
+    )  # fmt: skip
+    start = np.array([0.5, -0.25, 0.125])
+    run = dal.integrate(system, "taylor", start + [place, place, 0], [1, 0.5, -0.25], t_end=30)
+    near = dal.integrate(system.with_parameters(a=0.0), "taylor", start, [1, 0.5, -0.25], t_end=30)
+    assert run.stats.steps <= near.stats.steps + 2
+    assert abs(run.v[-1] - near.v[-1]).max() <= 2e-14 + 2e-16 * abs(place)
+    assert abs(run.q[-1, 2] - near.q[-1, 2]) <= 1e-13
+
+
+def test_a_large_term_that_does_no_work():
+    """A rate of a function in L, whose size is far above that of the forces, costs no digits."""
+    parts = (x.d**2 * (2 + sp.sin(y)) + y.d**2 + z.d**2) / 2 - x**2 / 2, [z.d - y * x.d]
+    start = [0.5, 0.25, 0], [1, -0.5, 0.25]
+    gauge = 1e9 * y.d / (1 + y**2)
+    ends = [
+        dal.integrate(dal.System.from_sympy(parts[0] + more, parts[1]), "taylor", *start, t_end=20)
+        for more in (0, gauge)
+    ]
+    assert abs(ends[0].q[-1] - ends[1].q[-1]).max() <= 1e-13
+
+
+@pytest.mark.parametrize("unit, right", [(1.0, True), (16.0, True), (1e8, False), (1e20, False)])
+def test_units_that_are_far_apart(unit, right):
+    """A sphere in R^4 with one coordinate in another unit: right, or refused."""
+    q, u = dal.coordinates("a b c d"), sp.Symbol("u", positive=True)
+    one = q[0] / u
+    T = (one.subs(q[0], q[0].d) ** 2 + sum(e.d**2 for e in q[1:])) / 2
+    row = one * q[0].d / u + sum(e * e.d for e in q[1:])
+    system = dal.System.from_sympy(T - one - q[1] * q[2], [row], q, parameters={u: unit})
+    start = np.array([0.5, 0.5, 0.5, 0.5]), np.array([0.1, -0.1, 0.2, -0.2])
+    scale = np.array([unit, 1, 1, 1])
+    if not right:
+        with pytest.raises(dal.DomainError, match="roundoff of the equations on D|series are not finite"):
+            dal.integrate(system, "taylor", *(e * scale for e in start), t_end=2)
+        return
+    run = dal.integrate(system, "taylor", *(e * scale for e in start), t_end=2)
+    other = dal.reference(system, *(e * scale for e in start), t=2)
+    assert abs((run.q[-1] - other.q) / scale).max() <= 1e-11
+
+
 def test_rest():
     """Rest, a straight line, and a start from rest."""
     for V, v in ((0, 0.0), (0, 1.0), (x, 0.0)):
