@@ -4,8 +4,8 @@
 
 For each problem of benchmarks/peers that keeps its energy the starts are its own, moved by 1 % at
 random and projected into D.  Printed is the root mean square over the starts of the change of the
-energy, relative to the largest kinetic energy, at each power of ten of the time.  The last column is
-the slope of its logarithm: 1/2 for a random walk, 1 for a drift.
+energy, relative to the largest kinetic energy, at each power of ten of the time.  The last column
+is the slope of its logarithm: 1/2 for a random walk, 1 for a drift.
 """
 
 from __future__ import annotations

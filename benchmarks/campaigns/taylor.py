@@ -326,8 +326,8 @@ end:
     return status;
 }
 
-/* For each state: the largest |phi|, relative to what rounding of places, t, v and p does to it, to the
-   size in docs/residual.md, and to the sum of its terms, unless it is much less than this size;
+/* For each state: the largest |phi|, relative to what rounding of places, t, v and p does to it, to
+   the size in docs/residual.md, and to the sum of its terms, unless it is much less than this size;
    the change of the energy since the first state, less what rounding of q and v may do to it, and
    the size of its terms. */
 int measures(int which, const double *p, int rows, const double *times, const double *y,
@@ -426,6 +426,8 @@ class Writer:
             if k.q == 2:
                 base = f"sqrtq({base})"
             return f"{'1 / ' if k < 0 else ''}power({base}, {abs(k.p)})"
+        if isinstance(e, sp.conjugate):  # of what SymPy does not know to be real
+            return self.of(e.args[0])
         if e is sp.pi:
             return "M_PIq"
         name = "fabs" if isinstance(e, sp.Abs) else e.func.__name__
@@ -576,7 +578,7 @@ class Model:
         known: dict[Expr, Expr] = {self.t: dal.time, **dict(zip(self.q, x))}
         known |= {a: b.d for a, b in zip(self.v, x)}
         if not self.parameters:
-            known |= {c: sp.Rational(value) for c, value in self.values.items()}  # SymPy rounds no sum
+            known |= {c: sp.Rational(value) for c, value in self.values.items()}  # exact
         force = {a: e.xreplace(known) for a, e in zip(x, self.force) if e != 0}
         return dal.System.from_sympy(
             self.L.xreplace(known), [e.xreplace(known) for e in self.rows], x,

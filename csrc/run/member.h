@@ -1,4 +1,4 @@
-/* member.h - the members of an ensemble, one by one (member.c), in lanes (batch.c), and four by four
+/* member.h - the members of an ensemble, one by one (member.c), in lanes (batch.c), four by four
  * (side.c). */
 #ifndef DAL__MEMBER_H
 #define DAL__MEMBER_H

@@ -62,8 +62,10 @@ static const double LEAST_ALLOWED = 1e-10;
 /* Pivots of C below so many times the tolerance may be errors of the steps, as in flow.c. */
 static const double PER_TOLERANCE = 10.0;
 
-/* The square of what roundoff may do to the first acceleration. */
-static const double ALLOWED_LOSS = 1e-18;
+/* The square of what roundoff may do to the acceleration, which is looked at when so many pieces
+ * have been made; and of how much more it has to be than that of the multipliers. */
+static const double ALLOWED_LOSS = 1e-12, DOUBT = 1e4;
+enum { CHECKED = 16 };
 
 /* A switch that has been crossed stays so for this many roundings of t. */
 static const double NEAR = 64.0;
@@ -85,6 +87,7 @@ typedef struct taylor {
     double next_unit;        /* of the coefficients after this piece, if they are known; or 0 */
     double before;           /* the length of the piece before; 0: none */
     bool shrinks;            /* it was shorter than the one before it */
+    size_t pieces;           /* made */
     double *y, *low;         /* [width] where the piece begins; the part below the last digit */
     double *row, *row_low;   /* [width] the same at the state that was given last */
     double *change, *slope;  /* [width] */
@@ -96,6 +99,7 @@ typedef struct taylor {
     size_t switched;         /* the switch at which the piece ends, or the number of switches */
     double *coefficients, *next, *work; /* aligned to ALIGNED */
     double *saved;           /* the state before several motions were led on */
+    double *probe;           /* [5n] */
     bool going;              /* the piece leads on from x, */
     bool stale;              /* but its coefficients are not those of y */
     bool fresh;              /* x is that of a saved state, and not known yet */
@@ -148,6 +152,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
                  &shape.from, &shape.from_low);
     DAL__RESERVE(&memory, shape.width + spare, &shape.change, &shape.slope);
     DAL__RESERVE(&memory, 2 * def->n, &shape.x);
+    DAL__RESERVE(&memory, 5 * def->n, &shape.probe);
     DAL__RESERVE(&memory, def->inputs, &shape.input);
     DAL__RESERVE(&memory, series->switches, &shape.side, &shape.crossed, &shape.none);
     DAL__RESERVE(&memory, rows * shape.width + spare, &shape.coefficients, &shape.next);
@@ -180,6 +185,7 @@ static void start(void *method, dal_motion *motion)
     self->going = self->fresh = false;
     self->unit = self->last_length = self->next_unit = self->before = 0.0;
     self->shrinks = false;
+    self->pieces = 0;
 }
 
 /* ---- compensated sums -------------------------------------------------------------------- */
@@ -645,7 +651,58 @@ static int leave_piece(taylor *self, dal_motion *motion, double until)
     return self->series->in_D ? DAL_SUCCESS : stay_in_D(self, motion);
 }
 
-/* A look at the rank where pieces were short and become longer again. */
+/* The square of the size of a[n] in the metric. */
+static double square(const dal_mechanics *mech, const double *a, double *product)
+{
+    double sum = 0.0;
+    dal__weigh(mech, a, product);
+    for (size_t i = 0; i < mech->n; i++) sum += a[i] * product[i];
+    return sum;
+}
+
+/* *error <- the square of the error of the acceleration at x, where the piece begins, relative to
+ * its size; of another one by the multipliers if again.  Returns whether it is known. */
+static bool compare_acceleration(taylor *self, dal_motion *motion, bool again, double *error)
+{
+    dal_mechanics *const mech = motion->mechanics;
+    const size_t n = self->n;
+    const double *const Y = self->coefficients + 2 * self->width;
+    const double units = allowed_units(self), length = room_for(self, units, self->unit);
+    double *const a = self->probe, *const known = a + n, *const x = known + 2 * n;
+    for (size_t i = 0; i < 2 * n; i++) x[i] = self->x[i];
+    if (dal__field(mech, self->t, x, known) || dal__build_metric(mech, self->t, x, x + n))
+        return false;
+    const double size = square(mech, known + n, self->change);
+    for (size_t i = 0; i < n; i++) a[i] = x[n + i] / length;
+    const double whole = size + square(mech, a, self->change);
+    for (size_t i = 0; i < 2 * n; i++) x[i] *= 1.0 + (i % 2 == 0 ? 2.0 : -2.0) * DAL_ROUNDOFF;
+    if (again && dal__field(mech, self->t, x, mech->point)) return false;
+    for (size_t i = 0; i < n; i++)
+        a[i] = known[n + i] - (again ? mech->point[n + i] : 2.0 * Y[i] / self->unit / self->unit);
+    *error = square(mech, a, self->change) / whole;
+    return isfinite(*error);
+}
+
+/* Whether the acceleration at x, where the piece begins, is that of the multipliers.  Formulas in
+ * which very different units are mixed may lose all digits.  Where roundoff of the multipliers, or
+ * of x, does as much, or a force jumps, nothing is said. */
+static int check_acceleration(taylor *self, dal_motion *motion)
+{
+    double lost, unsure;
+    for (size_t i = 0; i < self->series->switches; i++)
+        if (self->crossed[i] != 0.0 || switch_at(self, i)[0] == 0.0) return DAL_SUCCESS;
+    const bool is_lost = self->series->in_D
+        && compare_acceleration(self, motion, false, &lost) && lost > ALLOWED_LOSS
+        && compare_acceleration(self, motion, true, &unsure) && lost > DOUBT * unsure;
+    *motion->error = (dal_error){0};
+    if (!is_lost) return DAL_SUCCESS;
+    return dal__fail(motion->error, DAL_EDOMAIN, "at t = %.17g roundoff of the equations on D is "
+                     "%.1e of the acceleration: the units of coordinates are too far apart; choose "
+                     "other units, or the scheme \"reference\"", self->t, sqrt(lost));
+}
+
+/* A look at the rank where pieces were short and become longer again, and at the acceleration now
+ * and then. */
 static int watch_piece(taylor *self, dal_motion *motion)
 {
     struct dal__guards *const guards = motion->guards;
@@ -654,11 +711,14 @@ static int watch_piece(taylor *self, dal_motion *motion)
     dal__creep_step(&guards->creep, self->t, length);
     self->shrinks = length < before;
     self->before = length;
-    if (motion->system->def.m == 0 || !turns || !dal__creep_is_short(&guards->creep, before))
-        return DAL_SUCCESS;
-    const int status = find_state(self, motion, self->t, self->y, self->x);
-    return status ? status : dal__rank_look(&guards->rank, motion->mechanics, self->t, 0.0,
-                                            guards->allowed, self->x);
+    const bool is_due = ++self->pieces % CHECKED == 0;
+    const bool looks = motion->system->def.m > 0 && turns
+                    && dal__creep_is_short(&guards->creep, before);
+    int status = DAL_SUCCESS;
+    if (is_due || looks) status = find_state(self, motion, self->t, self->y, self->x);
+    if (!status && is_due) status = check_acceleration(self, motion);
+    if (status || !looks) return status;
+    return dal__rank_look(&guards->rank, motion->mechanics, self->t, 0.0, guards->allowed, self->x);
 }
 
 /* After a piece: the one that follows on it. */
@@ -676,38 +736,6 @@ static bool is_at(const taylor *self, const dal_motion *motion, double t)
 {
     return self->going && self->row_t == t
         && memcmp(self->x, motion->x, 2 * self->n * sizeof(double)) == 0;
-}
-
-/* The first piece begins at x: whether its acceleration is that of the multipliers there, but for
- * roundoff.  Formulas in which very different units are mixed may lose all digits.  Where the
- * multipliers are not known, or a force jumps, nothing is said. */
-static int check_acceleration(taylor *self, dal_motion *motion)
-{
-    dal_mechanics *const mech = motion->mechanics;
-    const size_t n = self->n;
-    const double *const Y = self->coefficients;
-    const double units = allowed_units(self), length = room_for(self, units, self->unit);
-    double *const a = self->change, *const y = self->slope, product[3] = {0.0};
-    for (size_t i = 0; i < self->series->switches; i++)
-        if (self->crossed[i] != 0.0 || switch_at(self, i)[0] == 0.0) return DAL_SUCCESS;
-    if (!self->series->in_D || dal__field(mech, self->t, self->x, mech->point)
-        || dal__build_metric(mech, self->t, self->x, self->x + n)) {
-        *motion->error = (dal_error){0};
-        return DAL_SUCCESS;
-    }
-    for (size_t k = 0; k < 3; k++) { /* of the difference, the acceleration, and the velocity */
-        for (size_t i = 0; i < n; i++) {
-            const double series = 2.0 * Y[2 * self->width + i] / self->unit / self->unit;
-            a[i] = k == 2 ? self->x[n + i] / length
-                          : mech->point[n + i] - (k == 0 ? series : 0.0);
-        }
-        dal__weigh(mech, a, y);
-        for (size_t i = 0; i < n; i++) product[k] += a[i] * y[i];
-    }
-    if (!(product[0] > ALLOWED_LOSS * (product[1] + product[2]))) return DAL_SUCCESS;
-    return dal__fail(motion->error, DAL_EDOMAIN, "at t = %.17g roundoff of the equations on D is "
-                     "too large: the units of coordinates are far apart, or D is nearly singular; "
-                     "choose other units, or the scheme \"reference\"", self->t);
 }
 
 /* The first piece, from x at t. */
@@ -801,6 +829,12 @@ static int own_end(void *method, dal_motion *motion, double until, double *end)
     return status;
 }
 
+int dal_system_has_series(const dal_system *system)
+{
+    const dal_series *const series = system->def.series;
+    return !series ? 0 : series->expand_four ? 2 : 1;
+}
+
 /* ---- several motions ---------------------------------------------------------------------- */
 
 bool dal__taylor_has_four(const dal_stepper *stepper)
@@ -848,7 +882,8 @@ static void examine(dal__side *const *side, size_t count)
     for (size_t i = 0; i < count; i++) {
         taylor *const self = side[i]->stepper->method;
         dal_motion *const motion = &side[i]->stepper->motion;
-        if (count <= 2) self->series->expand(of[i], self->order, next[i], self->work, parameters[i]);
+        if (count <= 2)
+            self->series->expand(of[i], self->order, next[i], self->work, parameters[i]);
         motion->stats->evaluations++;
         int status = DAL_SUCCESS;
         if (has_slopes(self, self->end, at[i].unit)) {

@@ -1,7 +1,6 @@
 /* The triple (Q, L, D) as an object: validation, copies, what it says about itself. */
 #include "system/system.h"
 
-#include "dalembert/series.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -389,11 +388,6 @@ dal_constraint_kind dal_system_kind(const dal_system *system) { return system->d
 int dal_system_is_forced(const dal_system *system) { return system->def.force != NULL; }
 int dal_system_is_driven(const dal_system *system) { return system->def.driven != NULL; }
 int dal_system_is_time_dependent(const dal_system *system) { return system->def.time_dependent; }
-int dal_system_has_series(const dal_system *system)
-{
-    const dal_series *const series = system->def.series;
-    return !series ? 0 : series->expand_four ? 2 : 1;
-}
 size_t dal_system_invariants(const dal_system *system) { return system->def.invariants; }
 
 const char *dal_system_coordinate(const dal_system *system, size_t i)

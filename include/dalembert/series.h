@@ -70,8 +70,8 @@ typedef double dal_four __attribute__((vector_size(32), may_alias));
 
 typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
 
-/* What expand and expand_four have in common.  Their texts differ in the type of the numbers, which
- * is double or dal_four: those of four motions. */
+/* Operations of expand and expand_four.  Their texts differ in the type of the numbers: double, or
+ * dal_four for four motions. */
 
 /* x/k, exactly or by 1/k. */
 #define DAL_SERIES_OVER(x, exact, k, inverse) ((exact) ? (x) / (k) : (x) * (inverse))
@@ -85,8 +85,8 @@ typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
         ((a1_ * b1_ - (product)) + a1_ * b2_ + a2_ * b1_) + a2_ * b2_; \
     })
 
-/* What expand_four has instead of a number, a function, a number of each motion, one/x or 0 for
- * x = 0, and instead of a row of four columns from the pointer to on. */
+/* Operations of expand_four: a number, a function, a number of each motion, and one/x, or 0 for
+ * x = 0.  The last one writes a row of four columns for each motion. */
 #define DAL_SERIES_ALL(x) ((dal_four){x, x, x, x})
 #define DAL_SERIES_EACH(function, x) \
     __extension__({ \

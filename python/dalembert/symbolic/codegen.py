@@ -101,7 +101,7 @@ def program(
         Whether the system declares the sparsity of its constraints, so that the library supplies
         the steps.  Default: `is_compact`.
     part : {"", "steps", "lanes", "series", "four series"}, optional
-        What the program has besides the functions of the model.  "steps": the step routine, see
+        The parts of the program besides the functions of the model.  "steps": the step routine, see
         `has_steps`.  "lanes": also one for several members at once, see `has_lanes`.  "series": the
         Taylor series.  "four series": also those of four members at once.  A constructor has steps
         and series.

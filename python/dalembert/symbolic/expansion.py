@@ -48,7 +48,8 @@ class Writer:
         series, found = self.series, [*self._first()]
         states = list(series.states)
         live = [e for e in series.nodes if series.degree[e] > 0]
-        found += [f"const {self.type} r{self._number[e]} = {x};" for e in live if (x := self._over(e))]
+        found += [f"const {self.type} r{self._number[e]} = {x};" for e in live
+                  if (x := self._over(e))]  # fmt: skip
         found += [f"const {self.type} g{self._number[e]} = {self._part(e.args[1])} * "
                   f"{self.zeroth(e)} * r{self._number[e]};" for e in live if e.op == "power"]
         found += [f"const {self.type} f{self._number[e]} = {self._slope(e)};" for e in live
@@ -194,8 +195,8 @@ class Writer:
     def _low_part(self, e: Node, found: list[str]) -> None:
         """Add the low part of a state, of sums of states, and of multiples of a state.
 
-        So an angle of many turns has the sine of the angle, not that of its rounding, and a
-        distance the digits that its ends have lost far from the origin.
+        So an angle of many turns has the sine of the angle, not that of its rounding.  A distance
+        far from the origin keeps its digits.
         """
         name, number = f"a{self._number[e]}", self._number[e]
         if e.op == "symbol":
@@ -421,7 +422,7 @@ def _fraction(e: Node) -> tuple[float, float] | None:
 
 
 def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
-    """Write the series of a model, as a ``dal_series``; ``four``: with expand_four, see series.h."""
+    """Write the series of a model, as a ``dal_series``; with expand_four, if ``four``."""
     read = model.derived.read
     q, p, u = ([read(x) for x in part] for part in (model.q, model.p, model.u))
     time = read(TIME)
@@ -437,8 +438,8 @@ def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
     made.add("}\n")
     has_four = four and motion.in_D and not series.sides
     if has_four:
-        writer = Writer(series, *_places(of, time, "DAL_SERIES_OF(p, [{}])", "DAL_SERIES_OF(at, ->{})"),
-                        True)
+        places = _places(of, time, "DAL_SERIES_OF(p, [{}])", "DAL_SERIES_OF(at, ->{})")
+        writer = Writer(series, *places, True)
         made.add(_EXPAND_FOUR + "    dal_four *const A = (dal_four *)work, "
                  f"*const B = A + order * {writer.vectors};\n" * bool(writer.vectors))
         made.lines += [f"    {line}" for line in writer.lines()]
@@ -452,7 +453,8 @@ def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
     made.add(
         "static const dal_series model_series = {\n"
         f"    DAL_SERIES_ABI, {', '.join(map(str, (*sizes, *flags)))},\n"
-        f"    model_expand, {'model_expand_four' if has_four else 'NULL'}, model_decay, model_sum,\n"
+        f"    model_expand, {'model_expand_four' if has_four else 'NULL'}, model_decay,\n"
+        "    model_sum,\n"
         "    model_slope, model_velocity, model_quasi};\n"
         "#define MODEL_SERIES &model_series\n#else\n#define MODEL_SERIES NULL\n#endif\n"
     )

@@ -5,7 +5,7 @@ node is a letter, too, and left as it is.  The square of a sine is 1 - c^2 for t
 function that is constant, or 0, is seen to be so in most cases.
 
 A polynomial that becomes too long is a letter of its own.  So chains stay as short as they are.
-A sum of places, such as a distance x - c, is a letter in every product: far from the origin its
+A sum of places, such as a distance x - c, is a letter in every product.  Far from the origin its
 square would lose all digits as x^2 - 2 c x + c^2.
 """
 

@@ -121,7 +121,8 @@ class _Comparison:
                 expected = mpmath.lu_solve(mpmath.matrix(whole), mpmath.matrix(right))[:n]
             except ZeroDivisionError:
                 return None
-            return max(abs(x - y) for x, y in zip(given, expected)), max(map(abs, (*expected, *given)))
+            differences = (abs(x - y) for x, y in zip(given, expected))
+            return max(differences), max(map(abs, (*expected, *given)))
 
 
 def _digits(x: Number) -> float:

@@ -202,7 +202,7 @@ class SympyOptions(About, _Formulas):
         position constraint is violated by more than 1e-6 (see `off_positions`), initially or by
         drift.""", default=())
     progress: bool | Callable[[Any, Any], Any] | None = option("bool or callable", """
-        Shows the seconds of compiling, here and at the first run, if they are more than one, and
-        how many a model of this size took.  True: show a tqdm bar.  A function is called as
-        ``progress(done, total)``.  Default: a bar in a terminal.  The logger
+        Shows the seconds of compiling, here and at the first run, if they are more than one.  They
+        come with those of another model of this size.  True: show a tqdm bar.  A function is
+        called as ``progress(done, total)``.  Default: a bar in a terminal.  The logger
         ``dalembert.compiler`` gets a line, too.""")

@@ -31,7 +31,8 @@ SHIM_OF_FOUR = """
 DAL_API int differ(const double *y, const double *low, int exact)
 {
     enum { ORDER = %d, SIZE = (ORDER + 1) * 128 };
-    static double one[SIZE] __attribute__((aligned(64))), four[4][SIZE] __attribute__((aligned(64)));
+    static double one[SIZE] __attribute__((aligned(64)));
+    static double four[4][SIZE] __attribute__((aligned(64)));
     static double work[400000] __attribute__((aligned(64)));
     const dal_series *const series = &model_series;
     dal_series_at at[4];

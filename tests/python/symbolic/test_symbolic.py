@@ -554,7 +554,8 @@ def test_large_callbacks_are_called():
     x, y = dal.coordinates("x y")
     for count, head in ((1, "DAL_KERNEL_INLINE int"), (150, "static int")):
         V = sum(sympy.sin(k * x) / k for k in range(1, count + 1))
-        source = codegen.program(of((x.d**2 + y.d**2) / 2 - V, [y.d - x * x.d]), part="steps").source
+        model = of((x.d**2 + y.d**2) / 2 - V, [y.d - x * x.d])
+        source = codegen.program(model, part="steps").source
         assert f"{head}\nmodel_potential(" in source
         assert (count > 1) == (source.count("MODEL_CUT(part);") > 5)
         assert "DAL_KERNEL_INLINE int\nmodel_constraint(" in source
