@@ -310,7 +310,7 @@ def doubt_start(system: System, x: Array, t: float, consistency: int = lib.DAL_C
             f"q0 violates a position constraint, and so will the motion: {off}; change q0, or "
             "pass consistent='assume'", 4,
         )  # fmt: skip
-    for i in np.flatnonzero(abs(x[:n]) > LARGE):
+    for i in [i for i, place in enumerate(x[:n].tolist()) if abs(place) > LARGE]:
         beside = x.copy()
         beside[i] = np.nextafter(x[i], 0.0)
         states = np.array([x, beside])

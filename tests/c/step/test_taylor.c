@@ -75,6 +75,11 @@ static void sum(size_t order, double s, const double *Y, double *change)
     dal_series_sum(WIDTH, order, s, Y, change);
 }
 
+static void slope(size_t order, double s, const double *Y, double *found)
+{
+    dal_series_slope(WIDTH, order, s, Y, found);
+}
+
 static void velocity(double t, const double *y, const double *u, double *v, const void *p)
 {
     (void)t, (void)u, (void)p;
@@ -90,8 +95,9 @@ static void quasi(double t, const double *x, const double *u, double *w, const v
     w[1] = x[5];
 }
 
-static const dal_series blade_series = {DAL_SERIES_ABI, 5, 0, WIDTH, 8, 1, 0, expand, decay, sum,
-                                        velocity, quasi};
+static const dal_series blade_series = {
+    DAL_SERIES_ABI, 5, 0, WIDTH, 8, 1, 0, .expand = expand, .decay = decay, .sum = sum,
+    .slope = slope, .velocity = velocity, .quasi = quasi};
 
 static dal_system *blade(const dal_series *series)
 {
@@ -280,6 +286,11 @@ static void sum_of_ball(size_t order, double s, const double *Y, double *change)
     dal_series_sum(4, order, s, Y, change);
 }
 
+static void slope_of_ball(size_t order, double s, const double *Y, double *found)
+{
+    dal_series_slope(4, order, s, Y, found);
+}
+
 static void speed(double t, const double *y, const double *u, double *v, const void *p)
 {
     (void)t, (void)u, (void)p;
@@ -295,8 +306,9 @@ static void speed_of(double t, const double *x, const double *u, double *w, cons
 /* From q = 1 at rest: parabolas of the duration 2 sqrt(2), on one side and the other. */
 static void test_switch(void)
 {
-    static const dal_series series = {DAL_SERIES_ABI, 2, 1, 4, 0, 1, 0, expand_ball,
-                                      decay_of_ball, sum_of_ball, speed, speed_of};
+    static const dal_series series = {
+        DAL_SERIES_ABI, 2, 1, 4, 0, 1, 0, .expand = expand_ball, .decay = decay_of_ball,
+        .sum = sum_of_ball, .slope = slope_of_ball, .velocity = speed, .quasi = speed_of};
     static const double mass[] = {1.0}, x[] = {1.0, 0.0};
     const dal_system_def def = {.n = 1, .masses = mass, .potential = height, .series = &series};
     dal_system *system = NULL;
@@ -335,7 +347,8 @@ static void test_decay(void)
     Y[4 * 4 + 3] = INFINITY;
     dal_series_decay(4, ORDER, Y, found);
     CHECK(isnan(found[0]));
-    CHECK(dal_series_rest(0.1, 0.3, 0.1 * 0.3) == fma(0.1, 0.3, -(0.1 * 0.3)));
+    const double one = 0.1, other = 0.3;
+    CHECK(DAL_SERIES_REST(double, one, other, one * other) == fma(one, other, -(one * other)));
 }
 
 int main(void)
