@@ -111,7 +111,7 @@ def test_steps_and_series_are_compiled_for_the_first_run(cache, compiled):
     energy(system)
     dal.integrate(system, "midpoint", *start, h=0.1, steps=1)
     dal.integrate(system, "reference", *start, h=0.1, steps=1)
-    dal.integrate(system, *start, t_end=0.1)
+    dal.integrate(system, None, *start, t_end=0.1)
     dal.integrate(system.with_parameters(a=1), "leapfrog", *start, h=0.1, steps=1)
     parts = [(f"{name}.h" in source) for source in compiled for name in ("kernel", "series")]
     assert parts == [False, False, True, False, False, True]
