@@ -123,7 +123,7 @@ static bool use_lanes(const dal_system *system, const dal_members *members,
         && !(options && options->keep_energy) && !varies(options);
 }
 
-/* The same for motions that are computed four by four. */
+/* Whether members are advanced in places of side.c, by series of four at once. */
 static bool use_sides(const dal__worker *self, const dal_options *options)
 {
     return use_lanes(self->system, self->members, options) && !self->members->inputs

@@ -62,11 +62,11 @@ void dal__worker_poll(dal__worker *self, double done, double began);
 /* Runs so many members from the first on, in batches of as many as there are lanes. */
 void dal__batches_run(dal__worker *self, size_t count);
 
-/* *sides <- places for members of a worker, whose stepper is one for step/taylor.h. */
+/* *sides <- places for members of a worker; dal__taylor_has_four holds for its stepper. */
 int dal__sides_new(dal__sides **sides, const dal__worker *worker, const dal_options *options,
                    dal_error *error);
 void dal__sides_free(dal__sides *sides);
-/* The same by them. */
+/* Runs so many members from the first on in these places. */
 void dal__sides_run(dal__worker *self, size_t count);
 
 #endif /* DAL__MEMBER_H */

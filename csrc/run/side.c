@@ -6,10 +6,10 @@
 
 #include <stdlib.h>
 
-/* How many, so that mostly there are four whose next pieces are due. */
+/* The number of places.  With eight there are mostly four members whose next pieces are due. */
 enum { WIDTH = 8 };
 
-/* A member in a place. */
+/* The member in a place. */
 typedef struct beside {
     dal_stepper *stepper;
     dal_system *own;
@@ -49,7 +49,7 @@ void dal__sides_free(dal__sides *sides)
     free(sides);
 }
 
-/* The member in a place becomes that of the worker. */
+/* Makes the member in a place that of the worker. */
 static void take(dal__worker *self, size_t place)
 {
     const beside *const one = &self->sides->at[place];
@@ -59,7 +59,7 @@ static void take(dal__worker *self, size_t place)
     if (self->own) dal__member_bind(self); /* which it had before, without fault */
 }
 
-/* The member of the worker, back in its place; one that has ended reports. */
+/* Puts the member of the worker back into its place, and reports it if it has ended. */
 static void put(dal__worker *self, size_t place, int status)
 {
     beside *const one = &self->sides->at[place];
@@ -88,7 +88,7 @@ static void open_member(dal__worker *self, size_t place, size_t member)
     put(self, place, dal_run_go(&self->run, 0)); /* which stores the first row */
 }
 
-/* Stores the row to which a member was led; what failed is tried again alone. */
+/* Stores the next row of a member.  If the common step failed, the member makes it alone. */
 static void store_row(dal__worker *self, size_t place, const dal__side *side)
 {
     take(self, place);

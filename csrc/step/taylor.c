@@ -49,7 +49,7 @@ static const double SAFETY = 0.96;
 static const double GROWTH = 2.0;
 enum { INSIDE = 3 };
 
-/* Of a unit that suits the coefficients the piece is at least this part, 1/FAR. */
+/* A piece is at least 1/FAR of the unit of its coefficients; if not, the unit becomes smaller. */
 enum { FAR = 64 };
 
 /* The most units of a piece.  Only last coefficients that are nearly zero would allow more.  In a
@@ -62,10 +62,11 @@ static const double LEAST_ALLOWED = 1e-10;
 /* Pivots of C below so many times the tolerance may be errors of the steps, as in flow.c. */
 static const double PER_TOLERANCE = 10.0;
 
-/* The square of what roundoff may do to the acceleration, which is looked at when so many pieces
- * have been made; and of how much more it has to be than that of the multipliers. */
+/* At the start, and after so many pieces, the acceleration is compared with that of the multipliers.
+ * The run ends if they differ by more than 1e-6, and a hundred times more than the acceleration of
+ * the multipliers changes by rounding the state.  These are the squares. */
+enum { CHECKED = 64 };
 static const double ALLOWED_LOSS = 1e-12, DOUBT = 1e4;
-enum { CHECKED = 16 };
 
 /* A switch that has been crossed stays so for this many roundings of t. */
 static const double NEAR = 64.0;
@@ -463,8 +464,7 @@ static size_t switch_at_hand(const taylor *self, double direction)
     return self->series->switches;
 }
 
-/* Whether the slope of a state at s units is what its rate there is, but for roundoff of the state.
- */
+/* Whether the slope of a state at s units is its rate there, but for roundoff of the state. */
 static bool is_slope(const taylor *self, size_t i, double s, double rate)
 {
     const double difference = fabs(self->slope[i] - rate);
@@ -540,8 +540,8 @@ static bool solves(taylor *self, const dal_motion *motion, double units, double 
     return true;
 }
 
-/* What a piece of so many units has room for: more than its length, if last coefficients of zero
- * say nothing. */
+/* The length that the coefficients allow, or if the last ones are zero, a guess: that of the piece,
+ * or their unit. */
 static double room_for(const taylor *self, double units, double length)
 {
     return units < HUGE_VAL ? units * self->unit : fmax(length, self->unit);
@@ -660,8 +660,10 @@ static double square(const dal_mechanics *mech, const double *a, double *product
     return sum;
 }
 
-/* *error <- the square of the error of the acceleration at x, where the piece begins, relative to
- * its size; of another one by the multipliers if again.  Returns whether it is known. */
+/* *error <- the square of the difference between the acceleration by the multipliers at x, where the
+ * piece begins, and that of the series; or, if again, and that by the multipliers at x rounded
+ * otherwise.  It is relative to the acceleration and to v over the length of a piece.  Returns false
+ * if it is not finite, or there are no multipliers. */
 static bool compare_acceleration(taylor *self, dal_motion *motion, bool again, double *error)
 {
     dal_mechanics *const mech = motion->mechanics;
@@ -683,9 +685,9 @@ static bool compare_acceleration(taylor *self, dal_motion *motion, bool again, d
     return isfinite(*error);
 }
 
-/* Whether the acceleration at x, where the piece begins, is that of the multipliers.  Formulas in
- * which very different units are mixed may lose all digits.  Where roundoff of the multipliers, or
- * of x, does as much, or a force jumps, nothing is said. */
+/* Compares the acceleration at x, where the piece begins, with that of the multipliers.  Formulas
+ * that mix very different units may lose all digits.  At a jump of a force, and where rounding x
+ * changes the acceleration as much, there is no verdict. */
 static int check_acceleration(taylor *self, dal_motion *motion)
 {
     double lost, unsure;

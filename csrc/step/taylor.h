@@ -4,19 +4,19 @@
 
 #include "step/stepper.h"
 
-/* One of them. */
+/* A motion, and how far it is to go. */
 typedef struct dal__side {
     dal_stepper *stepper; /* of the family taylor, with steps of fixed size */
     size_t steps;         /* to be made */
-    int status;           /* if not DAL_SUCCESS, none was made, and the motion has to go on alone */
+    int status;           /* if it is not DAL_SUCCESS, no step was made: try the motion alone */
     bool made;
     double room;          /* of the piece that is planned */
 } dal__side;
 
-/* Whether a stepper can be one of them. */
+/* Whether the series of a stepper can be computed with those of others. */
 bool dal__taylor_has_four(const dal_stepper *stepper);
 
-/* Their steps, with the bits that each has alone. */
+/* Makes the steps of all motions.  Each gets the same bits as alone. */
 void dal__taylor_advance(dal__side *sides, size_t count);
 
 #endif /* DAL__TAYLOR_H */

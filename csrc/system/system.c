@@ -1,7 +1,6 @@
 /* The triple (Q, L, D) as an object: validation, copies, what it says about itself. */
 #include "system/system.h"
 
-
 #include <math.h>
 #include <stdio.h>
 #include <string.h>

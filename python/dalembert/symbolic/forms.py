@@ -105,8 +105,8 @@ class Forms:
     def _is_distance(self, a: Polynomial) -> bool:
         """Return whether a polynomial is the distance of places that may be far from the origin.
 
-        It is linear in coordinates, of which two have opposite signs, or one comes with a constant
-        that is a parameter or a large number.
+        It is linear in several coordinates, or in one with a constant that is a parameter or a large
+        number.
         """
         if len(a) < 2:
             return False
@@ -123,7 +123,7 @@ class Forms:
                 sizes.append(x)
         if not sizes:
             return False
-        return far or min(sizes) < 0 < max(sizes) or abs(alone) > _NEAR * min(map(abs, sizes))
+        return far or len(sizes) > 1 or abs(alone) > _NEAR * min(map(abs, sizes))
 
     def _is_place(self, e: Node) -> bool:
         return e.op == "symbol" and bool(e.reach & self.places)

@@ -1,4 +1,4 @@
-"""The same systems, compiled for steps, for several members at once, or for Taylor series."""
+"""Copies of systems, compiled for steps, for several members at once, or for Taylor series."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def test_lanes_are_runs(scheme):
 
 
 def test_series_of_four_are_runs_to_the_bit():
-    """Of members that are refused, leave the domain, or are alone at the end of a block, too."""
+    """Members that are refused, that leave the domain, and a single one at the end of a block."""
     q0, v0, values = data(38)
     given = {"h": 0.5, "steps": 12, "stride": 3, "keep": ["all", "energy", "residual", "theta"]}
     with pytest.warns(dal.DalembertWarning, match="of 38 members failed"):
@@ -89,7 +89,7 @@ def test_series_of_four_are_runs_to_the_bit():
 
 
 def test_series_of_four_are_computed_together():
-    """Of a system in C too, and one series for four motions serves them."""
+    """The system is compiled with a series for four motions, also one that is built in."""
     x, y, z = dal.coordinates("x y z")
     springs = dal.System.from_sympy(
         (x.d**2 + y.d**2 + z.d**2 - x**2 - 2 * y**2) / 2, [z.d - y * x.d], q0=[1, 0, 0],

@@ -493,6 +493,12 @@ def test_units(scale):
     assert abs(run.q[-1, 1] / 1e-20 - np.cos(100 * np.sqrt(2))) < 3e-13
 
 
+def test_units_of_coordinates():
+    """One that is 1e60 times smaller than another has its own digits."""
+    run = dal.integrate(free(x**2 / 8 + y**2), "taylor", [1e30, 1e-30], [0, 0], t_end=20)
+    assert abs(run.q[-1] / [1e30, 1e-30] - np.cos([10, 20 * np.sqrt(2)])).max() < 1e-13
+
+
 @pytest.mark.parametrize("place", [0.0, 2.0**20, -2.0**30])
 def test_far_from_the_origin(place):
     """Distances keep their digits: the motion relative to a place is that near the origin."""
