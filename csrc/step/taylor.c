@@ -43,18 +43,21 @@ static const double SAFETY = 0.96;
 
 /* Each piece is examined at its end: whether its polynomial solves the ODE there.  Series do not
  * see beyond a branch point where a function is finite, and not what is far below the last digit
- * where they begin and large later, as exp(-1000 x).  A piece that is so much longer than the one
- * before, the first one, and all pieces of a system that depends on time are examined inside
- * too. */
+ * where they begin and large later, as exp(-1000 x).  The first piece, and one that is so much
+ * longer than the one before, are examined at INSIDE places between too.  So are, at more places,
+ * all pieces of a system where a pulse in time may come, pieces that could be much longer, and
+ * those whose last coefficients are zero, which say nothing of a length. */
 static const double GROWTH = 2.0;
-enum { INSIDE = 3 };
+enum { INSIDE = 3, INSIDE_IN_TIME = 15, INSIDE_LONG = 31, INSIDE_AT_REST = 127 };
 
-/* A piece is at least 1/FAR of the unit of its coefficients; if not, the unit becomes smaller. */
-enum { FAR = 64 };
+/* A piece is at least 1/FAR of the unit of its coefficients; if not, the unit becomes smaller.  The
+ * first unit is 1/FIRST of the step size, which may be far too long. */
+enum { FAR = 64, FIRST = 8 };
 
-/* The most units of a piece.  Only last coefficients that are nearly zero would allow more.  In a
- * system that depends on time a force may come at any moment, so pieces grow more slowly. */
-static const double LONGEST = 8.0, LONGEST_IN_TIME = 2.0;
+/* The most units of a piece.  Only last coefficients that are nearly zero would allow more.  Where
+ * a force may come at any moment, as a pulse in time or a hill on a straight way, pieces grow more
+ * slowly. */
+static const double LONGEST = 8.0, LONGEST_AT_REST = 2.0;
 
 /* The slopes may differ by the root of the tolerance, relative to their size, or by this. */
 static const double LEAST_ALLOWED = 1e-10;
@@ -62,11 +65,11 @@ static const double LEAST_ALLOWED = 1e-10;
 /* Pivots of C below so many times the tolerance may be errors of the steps, as in flow.c. */
 static const double PER_TOLERANCE = 10.0;
 
-/* At the start, and after so many pieces, the acceleration is compared with that of the multipliers.
- * The run ends if they differ by more than 1e-6, and a hundred times more than the acceleration of
- * the multipliers changes by rounding the state.  These are the squares. */
+/* At the start, and after so many pieces, the acceleration is compared with that of the
+ * multipliers.  The run ends if the square of their difference is above ALLOWED_LOSS, and above
+ * DOUBT times the square of the change of the multipliers' where x moves by MOVED of itself. */
 enum { CHECKED = 64 };
-static const double ALLOWED_LOSS = 1e-12, DOUBT = 1e4;
+static const double ALLOWED_LOSS = 1e-12, DOUBT = 1e4, MOVED = 0x1p-44;
 
 /* A switch that has been crossed stays so for this many roundings of t. */
 static const double NEAR = 64.0;
@@ -110,6 +113,62 @@ typedef struct taylor {
 
 enum { ALIGNED = 64, FOUR = 4 }; /* FOUR: motions of expand_four */
 
+/* ---- saved states ------------------------------------------------------------------------ */
+
+static size_t save(const void *method, double *values)
+{
+    const taylor *const self = method;
+    const double *const numbers[] = {&self->tolerance, &self->unit, &self->t, &self->end,
+                                     &self->row_t, &self->last_length};
+    const double *const states[] = {self->y, self->low, self->row, self->row_low};
+    const size_t inputs = self->inputs, switches = self->series->switches;
+    for (size_t i = 0; values && i < DAL_LENGTH(numbers); i++) *values++ = *numbers[i];
+    for (size_t i = 0; values && i < DAL_LENGTH(states); i++, values += self->states)
+        memcpy(values, states[i], self->states * sizeof *values);
+    if (values) {
+        if (inputs > 0) memcpy(values, self->input, inputs * sizeof *values);
+        values += inputs;
+        for (size_t i = 0; i < switches; i++) {
+            *values++ = self->side[i];
+            *values++ = self->crossed[i];
+        }
+        values[0] = (double)self->switched;
+        values[1] = self->going;
+    }
+    return DAL_LENGTH(numbers) + DAL_LENGTH(states) * self->states + inputs + 2 * switches + 2;
+}
+
+static int accepts(const void *method, const double *values)
+{
+    const taylor *const self = method;
+    const double *const last = values + save(self, NULL) - 2;
+    return values[0] == self->tolerance && values[1] >= 0.0
+        && (last[1] == 0.0 || (last[1] == 1.0 && values[1] > 0.0))
+        && last[0] >= 0.0 && last[0] <= (double)self->series->switches;
+}
+
+static void restore(void *method, const double *values)
+{
+    taylor *const self = method;
+    double *const numbers[] = {&self->unit, &self->t, &self->end, &self->row_t,
+                               &self->last_length};
+    double *const states[] = {self->y, self->low, self->row, self->row_low};
+    values++; /* the tolerance */
+    for (size_t i = 0; i < DAL_LENGTH(numbers); i++) *numbers[i] = *values++;
+    for (size_t i = 0; i < DAL_LENGTH(states); i++, values += self->states)
+        memcpy(states[i], values, self->states * sizeof *values);
+    const size_t inputs = self->inputs, switches = self->series->switches;
+    if (inputs > 0) memcpy(self->input, values, inputs * sizeof *values);
+    values += inputs;
+    for (size_t i = 0; i < switches; i++) {
+        self->side[i] = *values++;
+        self->crossed[i] = *values++;
+    }
+    self->switched = (size_t)values[0];
+    self->next_unit = 0.0;
+    self->going = self->stale = self->fresh = values[1] == 1.0;
+}
+
 /* ---- making ------------------------------------------------------------------------------ */
 
 static double *aligned(double *block)
@@ -117,9 +176,6 @@ static double *aligned(double *block)
     const uintptr_t at = (uintptr_t)block;
     return block + (ALIGNED - at % ALIGNED) % ALIGNED / sizeof(double);
 }
-
-static size_t save(const void *method, double *values);
-static void restore(void *method, const double *values);
 
 static int make(void **method, dal_motion *motion, dal_error *error)
 {
@@ -507,14 +563,21 @@ static bool solves_at(taylor *self, const dal_motion *motion, double t, double u
     return has_slopes(self, t, unit);
 }
 
-/* The same inside the piece, of so many units, if there is doubt. */
-static bool solves_inside(taylor *self, const dal_motion *motion, double units)
+/* At how many places inside it a piece of so many units is examined. */
+static int places_inside(const taylor *self, double units)
 {
+    if (!(units < HUGE_VAL)) return INSIDE_AT_REST;
+    if (units > LONGEST) return INSIDE_LONG;
+    if (self->series->is_timed) return INSIDE_IN_TIME;
     const double last = self->last_length;
-    const bool is_doubtful =
-        last == 0.0 || !(units * self->unit <= GROWTH * last) || self->series->is_timed;
-    for (int k = 1; is_doubtful && k <= INSIDE; k++) {
-        const double part = (double)k / (INSIDE + 1.0);
+    return last == 0.0 || units * self->unit > GROWTH * last ? INSIDE : 0;
+}
+
+/* The same at places inside the piece. */
+static bool solves_inside(taylor *self, const dal_motion *motion, int places)
+{
+    for (int k = 1; k <= places; k++) {
+        const double part = (double)k / (places + 1.0);
         const double t = self->t + part * (self->end - self->t);
         if (!solves_at(self, motion, t, self->unit, 1)) return false;
     }
@@ -529,11 +592,11 @@ static double unit_after(const taylor *self, double length)
 }
 
 /* The same inside and at its end, where the next piece begins; the piece has room for a length. */
-static bool solves(taylor *self, const dal_motion *motion, double units, double room)
+static bool solves(taylor *self, const dal_motion *motion, int places, double room)
 {
     const bool goes_on = self->switched == self->series->switches && self->series->in_D;
     const double unit = goes_on ? unit_after(self, room) : self->unit;
-    if (!solves_inside(self, motion, units)
+    if (!solves_inside(self, motion, places)
         || !solves_at(self, motion, self->end, unit, goes_on ? self->order : 1)) return false;
     if (goes_on) self->next_unit = unit;
     self->last_length = room;
@@ -550,7 +613,8 @@ static double room_for(const taylor *self, double units, double length)
 /* The most units of a piece; if *units is larger, it is infinite. */
 static double limit(const taylor *self, double *units)
 {
-    const double most = self->series->is_timed ? LONGEST_IN_TIME : LONGEST;
+    const bool is_slow = self->series->is_timed || *units == HUGE_VAL;
+    const double most = is_slow ? LONGEST_AT_REST : LONGEST;
     if (*units <= most) return *units;
     *units = HUGE_VAL; /* its length says nothing of the scale of the motion */
     return most;
@@ -570,13 +634,14 @@ static bool cross(taylor *self)
 
 /* Shortens the piece of so many units, in a time of length, until its polynomial solves the ODE.
  * Returns false if then it leads nowhere. */
-static bool shorten(taylor *self, const dal_motion *motion, double units, double length)
+static bool shorten(taylor *self, const dal_motion *motion, int places, double units,
+                    double length)
 {
     enum { HALVINGS = 60 };
     for (int k = 0; k <= HALVINGS; k++, length *= 0.5) {
         self->end = self->t + direction_of(motion) * length;
         if (self->end == self->t) return false;
-        if (solves(self, motion, units, room_for(self, units, length))) return true;
+        if (solves(self, motion, places, room_for(self, units, length))) return true;
         units = 0.5 * length / self->unit;
         self->switched = self->series->switches;
     }
@@ -592,10 +657,11 @@ static int begin_piece(taylor *self, dal_motion *motion)
         double units;
         const int status = expand_on_sides(self, motion, &units);
         if (status) return status;
+        const int places = places_inside(self, units);
         const double most = limit(self, &units);
         const double length = until_switch(self, direction, most) * self->unit;
         self->stale = false;
-        if (shorten(self, motion, units, length)) return DAL_SUCCESS;
+        if (shorten(self, motion, places, units, length)) return DAL_SUCCESS;
         if (self->switched == switches) self->switched = switch_at_hand(self, direction);
         if (self->switched == switches) return fail_to_go_on(self, motion, length);
         if (!cross(self)) return fail_to_slide(self, motion);
@@ -660,10 +726,10 @@ static double square(const dal_mechanics *mech, const double *a, double *product
     return sum;
 }
 
-/* *error <- the square of the difference between the acceleration by the multipliers at x, where the
- * piece begins, and that of the series; or, if again, and that by the multipliers at x rounded
- * otherwise.  It is relative to the acceleration and to v over the length of a piece.  Returns false
- * if it is not finite, or there are no multipliers. */
+/* *error <- the square of the difference between the acceleration by the multipliers at x, where
+ * the piece begins, and that of the series; or, if again, and that by the multipliers near x.  It
+ * is relative to the acceleration and to v over the length of a piece.  Returns false if it is not
+ * finite, or there are no multipliers. */
 static bool compare_acceleration(taylor *self, dal_motion *motion, bool again, double *error)
 {
     dal_mechanics *const mech = motion->mechanics;
@@ -677,7 +743,7 @@ static bool compare_acceleration(taylor *self, dal_motion *motion, bool again, d
     const double size = square(mech, known + n, self->change);
     for (size_t i = 0; i < n; i++) a[i] = x[n + i] / length;
     const double whole = size + square(mech, a, self->change);
-    for (size_t i = 0; i < 2 * n; i++) x[i] *= 1.0 + (i % 2 == 0 ? 2.0 : -2.0) * DAL_ROUNDOFF;
+    for (size_t i = 0; i < 2 * n; i++) x[i] *= 1.0 + (i % 2 == 0 ? MOVED : -MOVED);
     if (again && dal__field(mech, self->t, x, mech->point)) return false;
     for (size_t i = 0; i < n; i++)
         a[i] = known[n + i] - (again ? mech->point[n + i] : 2.0 * Y[i] / self->unit / self->unit);
@@ -686,8 +752,8 @@ static bool compare_acceleration(taylor *self, dal_motion *motion, bool again, d
 }
 
 /* Compares the acceleration at x, where the piece begins, with that of the multipliers.  Formulas
- * that mix very different units may lose all digits.  At a jump of a force, and where rounding x
- * changes the acceleration as much, there is no verdict. */
+ * that mix very different units may lose all digits.  At a jump of a force, and where roundoff
+ * changes the acceleration of the multipliers as much, there is no verdict. */
 static int check_acceleration(taylor *self, dal_motion *motion)
 {
     double lost, unsure;
@@ -755,7 +821,7 @@ static int begin(taylor *self, dal_motion *motion, double t)
     self->t = self->row_t = t;
     self->last_length = self->next_unit = 0.0;
     for (size_t i = 0; i < self->series->switches; i++) self->side[i] = self->crossed[i] = 0.0;
-    if (self->unit == 0.0) self->unit = power_of_2(fabs(motion->h));
+    if (self->unit == 0.0) self->unit = power_of_2(fabs(motion->h) / FIRST);
     memcpy(self->x, motion->x, 2 * n * sizeof(double));
     memcpy(self->row, self->y, size);
     memcpy(self->row_low, self->low, size);
@@ -855,10 +921,12 @@ static bool plan_piece(dal__side *side)
     expand_here(self, motion);
     double units = allowed_units(self);
     if (!(units >= 1.0 / FAR)) return false;
+    const int places = places_inside(self, units);
     const double length = limit(self, &units) * self->unit;
     side->room = room_for(self, units, length);
     self->end = self->t + direction_of(motion) * length;
-    return self->end != self->t && solves_inside(self, motion, units) && look_at(self, self->end);
+    return self->end != self->t && solves_inside(self, motion, places)
+        && look_at(self, self->end);
 }
 
 /* The coefficients at the ends of some pieces that are planned; their examination. */
@@ -947,64 +1015,6 @@ void dal__taylor_advance(dal__side *sides, size_t count)
         if (sides[i].status) restore(self, self->saved); /* from there it goes on alone */
         else sides[i].stepper->motion.steps += sides[i].steps;
     }
-}
-
-/* ---- saved states ------------------------------------------------------------------------ */
-
-static size_t save(const void *method, double *values)
-{
-    const taylor *const self = method;
-    const double *const numbers[] = {&self->tolerance, &self->unit, &self->t, &self->end,
-                                     &self->row_t, &self->last_length};
-    const double *const states[] = {self->y, self->low, self->row, self->row_low};
-    const size_t inputs = self->inputs, switches = self->series->switches;
-    for (size_t i = 0; values && i < DAL_LENGTH(numbers); i++) *values++ = *numbers[i];
-    for (size_t i = 0; values && i < DAL_LENGTH(states); i++, values += self->states)
-        memcpy(values, states[i], self->states * sizeof *values);
-    if (values) {
-        if (inputs > 0) memcpy(values, self->input, inputs * sizeof *values);
-        values += inputs;
-        for (size_t i = 0; i < switches; i++) {
-            *values++ = self->side[i];
-            *values++ = self->crossed[i];
-        }
-        values[0] = (double)self->switched;
-        values[1] = self->going;
-    }
-    return DAL_LENGTH(numbers) + DAL_LENGTH(states) * self->states + inputs + 2 * switches + 2;
-}
-
-
-static int accepts(const void *method, const double *values)
-{
-    const taylor *const self = method;
-    const double *const last = values + save(self, NULL) - 2;
-    return values[0] == self->tolerance && values[1] >= 0.0
-        && (last[1] == 0.0 || (last[1] == 1.0 && values[1] > 0.0))
-        && last[0] >= 0.0 && last[0] <= (double)self->series->switches
-        && floor(last[0]) == last[0];
-}
-
-static void restore(void *method, const double *values)
-{
-    taylor *const self = method;
-    double *const numbers[] = {&self->unit, &self->t, &self->end, &self->row_t,
-                               &self->last_length};
-    double *const states[] = {self->y, self->low, self->row, self->row_low};
-    values++; /* the tolerance */
-    for (size_t i = 0; i < DAL_LENGTH(numbers); i++) *numbers[i] = *values++;
-    for (size_t i = 0; i < DAL_LENGTH(states); i++, values += self->states)
-        memcpy(states[i], values, self->states * sizeof *values);
-    const size_t inputs = self->inputs, switches = self->series->switches;
-    if (inputs > 0) memcpy(self->input, values, inputs * sizeof *values);
-    values += inputs;
-    for (size_t i = 0; i < switches; i++) {
-        self->side[i] = *values++;
-        self->crossed[i] = *values++;
-    }
-    self->switched = (size_t)values[0];
-    self->next_unit = 0.0;
-    self->going = self->stale = self->fresh = values[1] == 1.0;
 }
 
 const dal_family dal__family_taylor = {

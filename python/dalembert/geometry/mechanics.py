@@ -9,6 +9,7 @@ exception raised by a function of the system.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -125,7 +126,7 @@ def initial_state(system: Handle, q0: ArrayLike | None, v0: ArrayLike | None, *n
         and q0.dtype == v0.dtype == np.float64
     ):  # most often all is well, which is soon seen
         x = np.concatenate((q0, v0))
-        if np.count_nonzero(np.isfinite(x)) == x.size:
+        if math.isfinite(x.dot(x)):
             return x
     return np.concatenate(initial(system, q0, v0, *names))
 

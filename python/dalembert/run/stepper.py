@@ -74,6 +74,8 @@ class Stepper:
         doubt_start(system, self._x0, self._t0, self._how[0])
         self._u = self._u0.copy()
         self._c_u = core.pointer(self._u)
+        self._start = self._x0.copy()
+        self._c_start = core.pointer(self._start)
         self._mean = np.full(system.m, np.nan)
         self._c_mean = core.pointer(self._mean, output=True)
         self._done = ffi.new("size_t *")
@@ -278,16 +280,18 @@ class Stepper:
         x = self._x0 if q is None else geometry.initial_state(self.system, q, v, "q", "v")
         t = self._t0 if t is None else arguments.number(t, "t")
         doubt_start(self.system, x, t, self._how[0])
-        before = self.inputs
-        self._set(self._u0)
-        try:
-            core.call(
-                self.system.kind, lib.dal_stepper_start, self._handle, t,
-                self._first if self._control else self.h, x, *self._how,
-            )  # fmt: skip
-        except BaseException:
-            self._set(before)
-            raise
+        before = self.inputs if self._u.size else None
+        if before is not None:
+            self._set(self._u0)
+        self._start[:] = x
+        raised.exception = None
+        status = lib.dal_stepper_start(
+            self._handle, t, self._first if self._control else self.h, self._c_start, *self._how
+        )
+        if status:
+            if before is not None:
+                self._set(before)
+            raise core.failure(status, core.words(self._handle, self.system.kind))
         self._mean[:] = np.nan
 
     def __repr__(self) -> str:

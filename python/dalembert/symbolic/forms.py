@@ -105,8 +105,8 @@ class Forms:
     def _is_distance(self, a: Polynomial) -> bool:
         """Return whether a polynomial is the distance of places that may be far from the origin.
 
-        It is linear in several coordinates, or in one with a constant that is a parameter or a large
-        number.
+        It is linear in several coordinates, or in one with a constant that is a parameter or a
+        large number.
         """
         if len(a) < 2:
             return False

@@ -105,6 +105,30 @@ def test_series_of_four_are_computed_together():
         assert ends[1].lanes and not ends[0].lanes
 
 
+def test_series_of_four_with_many_refusals():
+    """The members behind a block of refused ones are led on."""
+    values = {"m": np.array([-1.0] * 20 + [1.0] * 4), "k": np.ones(24), "b": np.zeros(24)}
+    given = {"h": 0.5, "steps": 4, "threads": 1}
+    with pytest.warns(dal.DalembertWarning, match="20 of 24 members failed"):
+        plain, several = (
+            many(skate(), "taylor", np.zeros(3), [1, 0, 0.4], values, lanes=lanes, **given)
+            for lanes in (False, True)
+        )
+    assert several.success.sum() == 4 and several.message(3) == plain.message(3)
+    np.testing.assert_array_equal(several.q, plain.q)
+
+
+def test_series_of_four_see_a_wall_that_grows():
+    """A wall exp(-1000 x), which the coefficients of a first piece do not show."""
+    x, y = dal.coordinates("x y")
+    wall = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - sympy.exp(-1000 * x), [])
+    v0 = np.column_stack([np.linspace(-0.5, -1.5, 8), np.ones(8)])
+    ends = [many(wall, "taylor", [1, 0], v0, h=0.5, steps=6, lanes=lanes).v
+            for lanes in (False, True)]  # fmt: skip
+    np.testing.assert_array_equal(*ends)
+    np.testing.assert_allclose(ends[0][:, 0], -v0[:, 0], rtol=1e-12)  # all have come back
+
+
 def test_order_threads_and_blocks_change_no_bit():
     q0, v0, values = data(61)
     given = {"h": 0.03, "steps": 60, "keep": ["all", "energy", "reactions"], "stride": 15}
