@@ -224,12 +224,14 @@ int dal__event_rests(dal_events *e, size_t event, const char *what, double value
                      words);
 }
 
-/* A guard that was reset: it has not been seen on its side, where the reset sends it. */
+/* A guard that was reset: it has not been seen on its side, where the reset sends it.  Where the
+ * step has ended at the reset, the next one shows it. */
 static int find_after_reset(dal_events *e, size_t event, size_t *found)
 {
     const guard *const g = &e->guards[event];
     double part = 1.0 - e->from, at;
-    if (g->side * g->end > 0.0 || fabs(g->end) <= dal__event_rounding(g)) return DAL_SUCCESS;
+    if (g->side * g->end > 0.0 || fabs(g->end) <= dal__event_rounding(g)
+        || dal__time_at(e, e->from) == dal__time_at(e, 1.0)) return DAL_SUCCESS;
     for (int k = 0; k < HALVINGS; k++) {
         part *= 0.5;
         const int status = value_at(e, event, e->from + part, &at);

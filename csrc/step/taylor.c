@@ -42,22 +42,23 @@ static size_t order_for(double size)
 static const double SAFETY = 0.96;
 
 /* Each piece is examined at its end: whether its polynomial solves the ODE there.  Series do not
- * see beyond a branch point where a function is finite, and not what is far below the last digit
- * where they begin and large later, as exp(-1000 x).  The first piece, and one that is so much
+ * see beyond a branch point where a function is finite.  The first piece, and one that is so much
  * longer than the one before, are examined at INSIDE places between too.  So are, at more places,
- * all pieces of a system where a pulse in time may come, pieces that could be much longer, and
- * those whose last coefficients are zero, which say nothing of a length. */
+ * all pieces of a system where a pulse in time may come. */
 static const double GROWTH = 2.0;
-enum { INSIDE = 3, INSIDE_IN_TIME = 15, INSIDE_LONG = 31, INSIDE_AT_REST = 127 };
+enum { INSIDE = 3, INSIDE_IN_TIME = 15 };
 
-/* A piece is at least 1/FAR of the unit of its coefficients; if not, the unit becomes smaller.  The
- * first unit is 1/FIRST of the step size, which may be far too long. */
-enum { FAR = 64, FIRST = 8 };
+/* Nor do series see an exponential that is far below the last digit where they begin and large
+ * later, as exp(-1000 x), or a narrow hill exp(-1000 x^2).  So its argument grows by at most RISE in
+ * a piece, but from values where it is 0 in floating point to FAINT. */
+static const double RISE = 20.0, FAINT = -700.0;
+
+/* A piece is at least 1/FAR of the unit of its coefficients; if not, the unit becomes smaller. */
+enum { FAR = 64 };
 
 /* The most units of a piece.  Only last coefficients that are nearly zero would allow more.  Where
- * a force may come at any moment, as a pulse in time or a hill on a straight way, pieces grow more
- * slowly. */
-static const double LONGEST = 8.0, LONGEST_AT_REST = 2.0;
+ * a pulse in time may come pieces grow more slowly. */
+static const double LONGEST = 8.0, LONGEST_IN_TIME = 2.0;
 
 /* The slopes may differ by the root of the tolerance, relative to their size, or by this. */
 static const double LEAST_ALLOWED = 1e-10;
@@ -238,9 +239,9 @@ static void release(void *method)
 static void start(void *method, dal_motion *motion)
 {
     taylor *const self = method;
-    (void)motion;
+    if (motion->steps == 0) self->unit = 0.0;
     self->going = self->fresh = false;
-    self->unit = self->last_length = self->next_unit = self->before = 0.0;
+    self->last_length = self->next_unit = self->before = 0.0;
     self->shrinks = false;
     self->pieces = 0;
 }
@@ -429,23 +430,23 @@ static int expand_on_sides(taylor *self, dal_motion *motion, double *units)
     return DAL_SUCCESS;
 }
 
-/* Of a switch: the factor of its sign, its coefficients by the distance from where the piece
- * begins.  A zero that it has there is divided out. */
+/* Of a switch: the factor of its sign, its value where the piece begins, and its coefficients by
+ * the distance from there.  A zero that it has there is divided out. */
 typedef struct sign_change {
     const double *g;
     size_t count, next;
-    double side, direction;
+    double side, direction, begin;
 } sign_change;
 
 static double value_at(const sign_change *of, double r, double *slope)
 {
     double sum = 0.0, rate = 0.0;
-    for (size_t k = of->count; k-- > 0;) {
+    for (size_t k = of->count; k-- > 1;) {
         rate = rate * r + sum;
         sum = sum * r + (k % 2 == 0 ? 1.0 : of->direction) * of->g[k * of->next];
     }
-    *slope = of->side * rate;
-    return of->side * sum;
+    *slope = of->side * (rate * r + sum);
+    return of->side * (sum * r + of->begin);
 }
 
 /* How fast it may change up to r, at most. */
@@ -495,13 +496,26 @@ static double until_switch(taylor *self, double direction, double units)
     self->switched = self->series->switches;
     for (size_t i = 0; i < self->series->switches; i++) {
         const size_t zeros = (size_t)self->crossed[i];
-        const sign_change of = {.g = switch_at(self, i) + zeros * self->width,
-                                .count = self->order - zeros, .next = self->width,
+        const double *const g = switch_at(self, i) + zeros * self->width;
+        const sign_change of = {.g = g, .count = self->order - zeros, .next = self->width,
                                 .side = self->side[i] * (zeros % 2 == 0 ? 1.0 : direction),
-                                .direction = direction};
+                                .direction = direction, .begin = *g};
         if (self->side[i] == 0.0) continue;
         const double change = first_change(&of, units);
         if (change < units) self->switched = i, units = change;
+    }
+    return units;
+}
+
+/* Shortens the piece to where the argument of an exponential has grown too much. */
+static double until_rise(const taylor *self, double direction, double units)
+{
+    for (size_t i = 0; i < self->series->exponents; i++) {
+        const double *const a = switch_at(self, self->series->switches + i);
+        const double room = fmax(RISE, FAINT - *a);
+        const sign_change of = {.g = a, .count = self->order, .next = self->width, .side = -1.0,
+                                .direction = direction, .begin = -room};
+        if (steepest(&of, units) * units > room) units = first_change(&of, units);
     }
     return units;
 }
@@ -566,8 +580,6 @@ static bool solves_at(taylor *self, const dal_motion *motion, double t, double u
 /* At how many places inside it a piece of so many units is examined. */
 static int places_inside(const taylor *self, double units)
 {
-    if (!(units < HUGE_VAL)) return INSIDE_AT_REST;
-    if (units > LONGEST) return INSIDE_LONG;
     if (self->series->is_timed) return INSIDE_IN_TIME;
     const double last = self->last_length;
     return last == 0.0 || units * self->unit > GROWTH * last ? INSIDE : 0;
@@ -613,8 +625,7 @@ static double room_for(const taylor *self, double units, double length)
 /* The most units of a piece; if *units is larger, it is infinite. */
 static double limit(const taylor *self, double *units)
 {
-    const bool is_slow = self->series->is_timed || *units == HUGE_VAL;
-    const double most = is_slow ? LONGEST_AT_REST : LONGEST;
+    const double most = self->series->is_timed ? LONGEST_IN_TIME : LONGEST;
     if (*units <= most) return *units;
     *units = HUGE_VAL; /* its length says nothing of the scale of the motion */
     return most;
@@ -658,7 +669,7 @@ static int begin_piece(taylor *self, dal_motion *motion)
         const int status = expand_on_sides(self, motion, &units);
         if (status) return status;
         const int places = places_inside(self, units);
-        const double most = limit(self, &units);
+        const double most = until_rise(self, direction, limit(self, &units));
         const double length = until_switch(self, direction, most) * self->unit;
         self->stale = false;
         if (shorten(self, motion, places, units, length)) return DAL_SUCCESS;
@@ -810,6 +821,7 @@ static bool is_at(const taylor *self, const dal_motion *motion, double t)
 static int begin(taylor *self, dal_motion *motion, double t)
 {
     const size_t n = self->n, size = self->width * sizeof(double);
+    const double length = fmax(fabs(motion->h), NEAR * DAL_ROUNDOFF * fabs(t));
     const bool same = is_at(self, motion, t);
     memset(self->low, 0, size);
     if (same) memcpy(self->low, self->row_low, size);
@@ -821,7 +833,7 @@ static int begin(taylor *self, dal_motion *motion, double t)
     self->t = self->row_t = t;
     self->last_length = self->next_unit = 0.0;
     for (size_t i = 0; i < self->series->switches; i++) self->side[i] = self->crossed[i] = 0.0;
-    if (self->unit == 0.0) self->unit = power_of_2(fabs(motion->h) / FIRST);
+    if (self->unit == 0.0) self->unit = power_of_2(length);
     memcpy(self->x, motion->x, 2 * n * sizeof(double));
     memcpy(self->row, self->y, size);
     memcpy(self->row_low, self->low, size);
@@ -922,7 +934,8 @@ static bool plan_piece(dal__side *side)
     double units = allowed_units(self);
     if (!(units >= 1.0 / FAR)) return false;
     const int places = places_inside(self, units);
-    const double length = limit(self, &units) * self->unit;
+    const double most = until_rise(self, direction_of(motion), limit(self, &units));
+    const double length = most * self->unit;
     side->room = room_for(self, units, length);
     self->end = self->t + direction_of(motion) * length;
     return self->end != self->t && solves_inside(self, motion, places)

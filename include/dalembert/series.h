@@ -37,13 +37,14 @@ typedef struct dal_series_at {
 } dal_series_at;
 
 /* The series of a system.  The pointer p is ctx of its definition. */
-#define DAL_SERIES_ABI 1u
+#define DAL_SERIES_ABI 2u
 typedef struct dal_series {
     unsigned abi;    /* DAL_SERIES_ABI, as the compiler saw it */
     size_t states;   /* of y */
     size_t switches; /* series that follow on those of y: until one of them changes its sign,
                         functions such as maxima have the branches of these sides */
-    size_t width;    /* numbers of a row: both together, to a multiple of four */
+    size_t exponents; /* series that follow on those: the arguments of exponentials */
+    size_t width;    /* numbers of a row: all together, to a multiple of four */
     size_t room;     /* numbers of workspace for each order */
     int in_D;        /* 1: v is in D for all y; 0: w is v */
     int is_timed;    /* 1: there may be a pulse in time that a series before it does not show */
@@ -85,8 +86,8 @@ typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
         ((a1_ * b1_ - (product)) + a1_ * b2_ + a2_ * b1_) + a2_ * b2_; \
     })
 
-/* Operations of expand_four: a number, a function, a number of each motion, and one/x, or 0 for
- * x = 0.  The last one writes a row of four columns for each motion. */
+/* Operations of expand_four: a number, a function, a number of each motion, x or y by a condition,
+ * and one/x, or 0 for x = 0.  The last one writes a row of four columns for each motion. */
 #define DAL_SERIES_ALL(x) ((dal_four){x, x, x, x})
 #define DAL_SERIES_EACH(function, x) \
     __extension__({ \
@@ -100,6 +101,11 @@ typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
                    function(x_[3], y_[3])}; \
     })
 #define DAL_SERIES_OF(at, what) ((dal_four){at[0] what, at[1] what, at[2] what, at[3] what})
+#define DAL_SERIES_CHOOSE(which, x, y) \
+    __extension__({ \
+        const dal_four_bits which_ = (which), x_ = (dal_four_bits)(x), y_ = (dal_four_bits)(y); \
+        (dal_four)((x_ & which_) | (y_ & ~which_)); \
+    })
 #define DAL_SERIES_INVERSE(one, x) \
     __extension__({ \
         const dal_four x_ = (x), quotient_ = (one) / x_; \

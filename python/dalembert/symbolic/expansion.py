@@ -35,8 +35,7 @@ class Writer:
         self.type, self.zero = ("dal_four", "zero") if four else ("double", "0.0")
         self._number = {e: i for i, e in enumerate(series.nodes)}
         self.vectors = len(series.pairs) if four else -(-len(series.pairs) // 4)
-        columns = len(series.states) + len(series.switches)
-        self.width = -(-columns // 4) * 4
+        self.width = -(-len(self._columns()) // 4) * 4
         self._low: dict[Node, str | None] = {}
         self._late: dict[Node, int] = {}  # how many operations of an order come before
         for e in series.nodes:
@@ -82,7 +81,7 @@ class Writer:
 
     def _columns(self) -> list[Node]:
         """Return the series whose coefficients are given to the caller."""
-        return [*self.series.states, *self.series.switches]
+        return [*self.series.states, *self.series.switches, *self.series.exponents]
 
     def _before(self) -> list[Node]:
         """Return the series whose coefficient of the order before is needed."""
@@ -106,7 +105,7 @@ class Writer:
         for e in self.series.nodes:
             if e.op in ("number", "constant", "nan"):
                 continue
-            kind = "int" if e.op in CONDITIONS else self.type
+            kind = self.type if e.op not in CONDITIONS else "dal_four_bits" if self.four else "int"
             if e in self.series.sides:
                 found.append(f"const double s{self._number[e]} = {self._side(e)};")
                 found.append(f"const {kind} a{self._number[e]} = {self._branch(e, e.args, 0)};")
@@ -131,8 +130,9 @@ class Writer:
             return f"{above} * {self._part(e.args[1])} / {below}"
         if e.op in ("+", "-", "*", "/"):
             return f" {e.op} ".join(f"({x})" if x[0] == "-" else x for x in args)
-        if e.op in C.forms:
-            return C.forms[e.op].format(*args)
+        forms = _FOUR if self.four else C.forms
+        if e.op in forms:
+            return forms[e.op].format(*args)
         return self._call(C.names.get(e.op, e.op), *args)
 
     def _call(self, name: str, *args: str) -> str:
@@ -326,7 +326,8 @@ class Writer:
         if e in series.sides:
             return self._branch(e, e.args, 1)
         if op == "choose":
-            return f"{self.zeroth(e.args[0])} ? {k[1] or '0.0'} : {k[2] or '0.0'}"
+            forms = _FOUR if self.four else C.forms
+            return forms[op].format(self.zeroth(e.args[0]), *(x or self.zero for x in k[1:]))
         if op == "*":
             return self._times(e, M)
         if op == "/":
@@ -381,7 +382,7 @@ class Writer:
 
 
 _NAME = re.compile(r"[A-Za-z_]\w*")
-_ASSIGNED = re.compile(r" *(?:const )?(?:double |dal_four |int |bool )?([a-z]\w*) = ")
+_ASSIGNED = re.compile(r" *(?:const )?(?:double |dal_four |dal_four_bits |int |bool )?([a-z]\w*) = ")
 
 
 def _used(lines: list[str]) -> list[str]:
@@ -448,7 +449,8 @@ def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
     _values(made, "velocity", "t, y, u, v, p", motion.velocity, {"y": y, "u": u, "p": p}, time)
     x = {"x": [*q, *(read(s) for s in model.v)], "u": u, "p": p}
     _values(made, "quasi", "t, x, u, w, p", motion.quasi, x, time)
-    sizes = len(y), len(series.switches), one.width, 8 * one.vectors
+    sizes = (len(y), len(series.switches), len(series.exponents), one.width,
+             8 * one.vectors)  # fmt: skip
     flags = int(motion.in_D), int(series.is_timed)
     made.add(
         "static const dal_series model_series = {\n"
@@ -471,6 +473,12 @@ def _places(
     low = {x.value: number.format(f"low[{i}]") for i, x in enumerate(of["y"])}
     return places, low | {time.value: "0.0"}
 
+
+# Operations of numbers of four motions: a condition has all bits or none.
+_FOUR = C.forms | {
+    "choose": "DAL_SERIES_CHOOSE({}, {}, {})", "and": "({} & {})", "or": "({} | {})",
+    "not": "~{}", "true": "~(dal_four_bits){{0}}",
+}  # fmt: skip
 
 # A comparison of two numbers is one of the side of their difference with 0.
 _SIDES = {"<": "<", "<=": "<=", "==": "==", "!=": "!="}

@@ -47,6 +47,8 @@ def motion(model: Model) -> Motion:
     """Return the motion of a model: on D if a basis of D is found, and agrees with the multipliers.
     """
     v = [model.derived.read(x) for x in model.v]
+    if model.derived.kind == "linear" and model.m == model.n:  # D is v = 0
+        return Motion((), [v[0].graph.zero for _ in v], (), (), True)
     try:
         found = model.reduced
     except NotReduced:

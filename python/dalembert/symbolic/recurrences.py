@@ -36,6 +36,9 @@ COMPARED = ("max", "min", "<", "<=", "==", "!=")
 _ALONE = ("fabs", "sign", "step")
 _CONSTANT = ("sign", "step", *CONDITIONS)  # between switches
 
+# Functions that may be far below the last digit, and then grow beyond all others.
+_EXPONENTIAL = ("exp", "sinh", "cosh")
+
 # Functions that stay finite at branch points: beyond one the series goes on as that of sqrt(t^2)
 # does, without a sign of it in its coefficients.
 _BRANCHED = ("sqrt", "asin", "acos", "acosh", "atan2")
@@ -171,6 +174,8 @@ class Series:
         The series whose signs determine branches, numbered.
     sides : dict of Node to tuple of int
         The number of the switch of a function with branches, and the factor of its sign.
+    exponents : dict of Node to None
+        The arguments of exponential functions; they become large where those do.
     is_timed : bool
         Whether a rate depends on time otherwise than by low powers of the time, of sines and of
         cosines.
@@ -185,8 +190,10 @@ class Series:
         self.other: dict[Node, Node] = {}
         self.switches: dict[Node, int] = {}
         self.sides: dict[Node, tuple[int, int]] = {}
+        self.exponents: dict[Node, None] = {}
         self._complete()
-        every = [*self.states, *self.states.values(), *self.other.values(), *self.switches]
+        every = [*self.states, *self.states.values(), *self.other.values(), *self.switches,
+                 *self.exponents]  # fmt: skip
         self.nodes = below(every)
         self.degree = self._degrees()
         self.is_timed = self._is_timed()
@@ -225,6 +232,9 @@ class Series:
             graph = e.graph
             if e in self.other or e in self.sides or not e.reach & changing:
                 continue
+            if e.op in _EXPONENTIAL:
+                signs = (1,) if e.op == "exp" else (1, -1)
+                self.exponents |= {_times(sign, e.args[0]): None for sign in signs}
             if e.op in RULES:
                 found = self.other[e] = RULES[e.op].other(graph, e.args[0], e)
             elif e.op == "atan2":
@@ -307,6 +317,10 @@ def _difference(a: Node, b: Node) -> tuple[Node, int]:
         return _difference(*a.args) if a.op == "-" else (a, 1)
     one, other = sorted((a, b), key=lambda e: e.index)
     return a.graph.make("-", one, other), 1 if one is a else -1
+
+
+def _times(sign: int, a: Node) -> Node:
+    return a if sign > 0 else a.graph.make("*", a.graph.number(-1), a)
 
 
 def _pair(a: Node, b: Node) -> Pair:

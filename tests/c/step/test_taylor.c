@@ -96,7 +96,7 @@ static void quasi(double t, const double *x, const double *u, double *w, const v
 }
 
 static const dal_series blade_series = {
-    DAL_SERIES_ABI, 5, 0, WIDTH, 8, 1, 0, .expand = expand, .decay = decay, .sum = sum,
+    DAL_SERIES_ABI, 5, 0, 0, WIDTH, 8, 1, 0, .expand = expand, .decay = decay, .sum = sum,
     .slope = slope, .velocity = velocity, .quasi = quasi};
 
 static dal_system *blade(const dal_series *series)
@@ -228,7 +228,7 @@ static void test_refused(void)
     } cases[] = {{without, 0.0, DAL_EUNSUPPORTED, "has no Taylor series"},
                  {with, 0.5, DAL_EINVAL, "tolerance = 0.5: expected"},
                  {with, 1e-17, DAL_EINVAL, "tolerance = 1e-17: expected"},
-                 {of_old, 0.0, DAL_EINVAL, "series: number 2, expected 1"}};
+                 {of_old, 0.0, DAL_EINVAL, "series: number 3, expected 2"}};
     CHECK(dal_system_has_series(with) && !dal_system_has_series(without));
     for (size_t i = 0; i < 4; i++) {
         const dal_taylor_scheme data = {.tolerance = cases[i].tolerance};
@@ -307,7 +307,7 @@ static void speed_of(double t, const double *x, const double *u, double *w, cons
 static void test_switch(void)
 {
     static const dal_series series = {
-        DAL_SERIES_ABI, 2, 1, 4, 0, 1, 0, .expand = expand_ball, .decay = decay_of_ball,
+        DAL_SERIES_ABI, 2, 1, 0, 4, 0, 1, 0, .expand = expand_ball, .decay = decay_of_ball,
         .sum = sum_of_ball, .slope = slope_of_ball, .velocity = speed, .quasi = speed_of};
     static const double mass[] = {1.0}, x[] = {1.0, 0.0};
     const dal_system_def def = {.n = 1, .masses = mass, .potential = height, .series = &series};

@@ -105,6 +105,24 @@ def test_series_of_four_are_computed_together():
         assert ends[1].lanes and not ends[0].lanes
 
 
+def test_series_of_four_with_conditions_on_parameters():
+    """A power whose exponent is a parameter, and formulas that parameters choose."""
+    x, y = dal.coordinates("x y")
+    c, d = sympy.symbols("c d")
+    by_case = sympy.Piecewise(
+        (x**2, (c > 1) & (d < 2)), (x, sympy.Or(c < 0.5, sympy.Not(d >= 1))), (x**4, True)
+    )
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2 - ((x + 2) ** c + c) ** (-d) - by_case, [y.d - x * x.d],
+        parameters={c: 1, d: 1}, q0=[0.3, 0.2], v0=[1, 0.3],
+    )  # fmt: skip
+    values = {"c": np.array([2.5, 2.6, 0.3, 1.1, 2.2]), "d": np.array([0.5, 3, 3, 2.5, 0])}
+    plain, several = (many(system, "taylor", parameters=values, h=0.5, steps=2, lanes=lanes)
+                      for lanes in (False, True))  # fmt: skip
+    assert several.lanes and several.success.all()
+    np.testing.assert_array_equal(several.q, plain.q)
+
+
 def test_series_of_four_with_many_refusals():
     """The members behind a block of refused ones are led on."""
     values = {"m": np.array([-1.0] * 20 + [1.0] * 4), "k": np.ones(24), "b": np.zeros(24)}

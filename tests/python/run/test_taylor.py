@@ -262,6 +262,24 @@ def test_events():
     np.testing.assert_allclose(run.x[-1], exact, rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("speed, given", [(3, {}), (1.7, {"h": 0.1}), (10, {"h": 0.01})])
+def test_bounces_between_walls(speed, given):
+    """The steps that a run chooses end at a reset, late where t is rounded coarsely."""
+    free = dal.System.from_sympy(x.d**2 / 2, [], coordinates=[x])
+    walls = [dal.Event(x - 1, direction=1, reset={x.d: -x.d}),
+             dal.Event(x + 1, direction=-1, reset={x.d: -x.d})]  # fmt: skip
+    run = dal.integrate(free, "taylor", [0], [speed], t_end=100, events=walls, **given)
+    expected = (1 + 2 * np.arange(50 * speed)) / speed
+    np.testing.assert_allclose(np.sort(np.concatenate(run.t_events)), expected, atol=1e-11)
+    assert len(run.t) < 10 * len(expected) + 101 / given.get("h", 1)
+
+
+def test_the_next_double():
+    run = dal.integrate(skate(), t_end=20)
+    for i in (1, 3, -2):
+        assert abs(run(np.nextafter(run.t[i], 9)).q - run.q[i]).max() < 1e-14
+
+
 def test_events_in_long_steps():
     """A step may be half an oscillation; with events it is made in parts."""
     oscillator = free(x**2 / 2)
@@ -458,12 +476,24 @@ def test_terms_that_grow_fast():
     assert abs(run.v[-1, 0] - np.sqrt(np.pi / 50)) < 1e-13
 
 
-@pytest.mark.parametrize("place", [10, 100])
+@pytest.mark.parametrize("place", [10, 5000])
 def test_a_hill_on_a_straight_way(place):
     """Its slope is zero in all digits where the motion begins."""
     hill = free(sp.exp(-50 * (x - place) ** 2))
     run = dal.integrate(hill, q0=[0, 0], v0=[0.5, 0], t_end=4 * place)
-    assert abs(run.v[-1] - [-0.5, 0]).max() < 1e-13
+    assert abs(run.v[-1] - [-0.5, 0]).max() < 1e-12 and len(run.t) < 500
+
+
+@pytest.mark.parametrize("width", [0.2, 0.05, 0.01])
+def test_hills_that_are_narrower_than_steps(width):
+    hill = sp.exp(-((x - 0.3) ** 2 + (y - 0.2) ** 2) / (2 * sp.Float(width) ** 2)) / 5
+    wall = (sp.cosh((x + y) / width) + sp.sinh(-(x**3))) * sp.exp(-2 / sp.Float(width))
+    rng = np.random.default_rng(3)
+    for V in (hill, wall):
+        system = free(x**2 / 2 + y**2 / 2 + V)
+        for _ in range(10):
+            run = dal.integrate(system, q0=rng.normal(size=2) / 2, v0=rng.normal(size=2), t_end=20)
+            assert abs(run.energy / run.energy[0] - 1).max() < 1e-12
 
 
 def test_decay():
@@ -558,6 +588,14 @@ def test_units_that_are_far_apart(unit, right):
     run = dal.integrate(system, "taylor", *(e * scale for e in start), t_end=2)
     other = dal.reference(system, *(e * scale for e in start), t=2)
     assert abs((run.q[-1] - other.q) / scale).max() <= 1e-11
+
+
+def test_no_velocity():
+    """As many constraints as coordinates: the system stays where it is."""
+    rows = [x.d + sp.sin(x + t) / 2 * y.d, y.d + sp.cos(x - y) / 2 * x.d]
+    still = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - x**2 / 2, rows)
+    run = dal.integrate(still, q0=[0.3, 0.4], v0=[0, 0], t_end=200)
+    assert (run.x == [0.3, 0.4, 0, 0]).all() and run.stats.steps < 10
 
 
 def test_rest():

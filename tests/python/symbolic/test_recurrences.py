@@ -104,7 +104,8 @@ def coefficients(kind):
     model = system._model
     size = len(coordinates)
     series = series_of(model, motion(model))
-    width = -(-(2 * size + len(series.switches)) // 4) * 4
+    columns = 2 * size + len(series.switches) + len(series.exponents)
+    width = -(-columns // 4) * 4
     y = np.zeros(width)
     y[size] = 0.5
     block = np.zeros((ORDER + 1) * width + 8)
