@@ -155,6 +155,7 @@ static int begin(dal__worker *self)
 static int relay(double far, void *ctx)
 {
     dal__worker *const self = ctx;
+    if (self->stopped) return self->stopped == DAL_STOPPED ? 1 : -1; /* another member was told */
     const int returned = dal__relay(far, &self->watch);
     if (returned) self->stopped = dal__run_callback_status(&self->run, "watch", returned);
     return returned;

@@ -111,6 +111,8 @@ void dal__sides_run(dal__worker *self, size_t count)
             while (!one->goes && next < end) open_member(self, i, next++);
             if (!one->goes) continue;
             const dal_run *const run = &one->run;
+            one->stepper->motion.watch = run->watch;
+            one->stepper->motion.watch_ctx = run->watch_ctx;
             side[going] = (dal__side){.stepper = one->stepper,
                                       .steps = run->stored * run->stride - run->done};
             places[going++] = i;

@@ -53,7 +53,7 @@ def motion(model: Model) -> Motion:
         found = model.reduced
     except NotReduced:
         found = None
-    if found is None or not agrees(model, found):
+    if found is None or _leaves_doubles(found) or not agrees(model, found):
         return Motion(v, v, accelerations(model), v, model.m == 0)
     return Motion(found.w, found.velocity, found.rates, found.quasi, True)
 
@@ -127,6 +127,12 @@ class _Comparison:
             return max(differences), max(map(abs, (*expected, *given)))
 
 
+def _leaves_doubles(found: Reduced) -> bool:
+    """Return whether products of large or small numbers are none of the doubles."""
+    nodes = below([*found.velocity, *found.rates, *found.quasi])
+    return any(e.value and _digits(e.value) > _DOUBLES for e in nodes if e.op == "number")
+
+
 def _digits(x: Number) -> float:
     """Return how far a number is from 1, in decimal digits."""
     return abs(math.log10(abs(x.numerator)) - math.log10(x.denominator))
@@ -135,6 +141,7 @@ def _digits(x: Number) -> float:
 _POINTS = 8  # of which two have to be in the domain
 _CLOSE = mpmath.mpf(10) ** -20
 _FAR = 8  # decimal digits of a very large or small number
+_DOUBLES = 290  # those of a double
 
 
 def series_of(model: Model, motion: Motion) -> Series:
