@@ -49,8 +49,8 @@ static const double GROWTH = 2.0;
 enum { INSIDE = 3, INSIDE_IN_TIME = 15 };
 
 /* Nor do series see an exponential that is far below the last digit where they begin and large
- * later, as exp(-1000 x), or a narrow hill exp(-1000 x^2).  So its argument grows by at most RISE in
- * a piece, but from values where it is 0 in floating point to FAINT. */
+ * later, as exp(-1000 x), or a narrow hill exp(-1000 x^2).  So its argument grows by at most RISE
+ * in a piece, but from values where it is 0 in floating point to FAINT. */
 static const double RISE = 20.0, FAINT = -700.0;
 
 /* A piece is at least 1/FAR of the unit of its coefficients; if not, the unit becomes smaller. */
@@ -622,13 +622,33 @@ static double room_for(const taylor *self, double units, double length)
     return units < HUGE_VAL ? units * self->unit : fmax(length, self->unit);
 }
 
-/* The most units of a piece; if *units is larger, it is infinite. */
+/* A number from 31/32 to 1, from the digits of t. */
+static double at_random(double t)
+{
+    uint64_t bits;
+    memcpy(&bits, &t, sizeof bits);
+    return 1.0 - (double)(bits * 0x9e3779b97f4a7c15u >> 40) * 0x1p-29;
+}
+
+/* The most units of a piece; if *units is larger, it is infinite.  The lengths vary at random:
+ * without, a periodic motion may have the same pieces in each period, and roundoff adds up. */
 static double limit(const taylor *self, double *units)
 {
     const double most = self->series->is_timed ? LONGEST_IN_TIME : LONGEST;
-    if (*units <= most) return *units;
+    if (*units <= most) return *units * at_random(self->t);
     *units = HUGE_VAL; /* its length says nothing of the scale of the motion */
     return most;
+}
+
+/* The time after a length.  Unless the piece is short or ends at a switch, it is a multiple of the
+ * unit over 2^20.  So s at its end has few digits, and s^2 in sums is exact: if it were rounded to
+ * one side the energy would drift. */
+static double time_after(const taylor *self, double direction, double length)
+{
+    const double end = self->t + direction * length, grid = 0x1p-20 * self->unit;
+    const double multiple = rint(end / grid);
+    const bool is_free = self->switched == self->series->switches && length > 0x1p10 * grid;
+    return is_free && isfinite(multiple) ? multiple * grid : end;
 }
 
 /* On the other side of the switch at which the piece ends.  Returns false if it has just been
@@ -650,7 +670,7 @@ static bool shorten(taylor *self, const dal_motion *motion, int places, double u
 {
     enum { HALVINGS = 60 };
     for (int k = 0; k <= HALVINGS; k++, length *= 0.5) {
-        self->end = self->t + direction_of(motion) * length;
+        self->end = time_after(self, direction_of(motion), length);
         if (self->end == self->t) return false;
         if (solves(self, motion, places, room_for(self, units, length))) return true;
         units = 0.5 * length / self->unit;
@@ -937,7 +957,7 @@ static bool plan_piece(dal__side *side)
     const double most = until_rise(self, direction_of(motion), limit(self, &units));
     const double length = most * self->unit;
     side->room = room_for(self, units, length);
-    self->end = self->t + direction_of(motion) * length;
+    self->end = time_after(self, direction_of(motion), length);
     return self->end != self->t && solves_inside(self, motion, places)
         && look_at(self, self->end);
 }

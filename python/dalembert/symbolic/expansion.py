@@ -382,7 +382,8 @@ class Writer:
 
 
 _NAME = re.compile(r"[A-Za-z_]\w*")
-_ASSIGNED = re.compile(r" *(?:const )?(?:double |dal_four |dal_four_bits |int |bool )?([a-z]\w*) = ")
+_TYPES = "double |dal_four |dal_four_bits |int |bool "
+_ASSIGNED = re.compile(rf" *(?:const )?(?:{_TYPES})?([a-z]\w*) = ")
 
 
 def _used(lines: list[str]) -> list[str]:

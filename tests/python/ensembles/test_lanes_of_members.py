@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+import time
 import warnings
 from types import SimpleNamespace
 
@@ -134,6 +138,18 @@ def test_series_of_four_with_many_refusals():
         )
     assert several.success.sum() == 4 and several.message(3) == plain.message(3)
     np.testing.assert_array_equal(several.q, plain.q)
+
+
+@pytest.mark.usefixtures("ctrl_c")
+def test_ctrl_c_in_a_long_step():
+    x, y = dal.coordinates("x y")
+    fast = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - 10**10 * x**2 / 2 - y**4, [])
+    many(fast, "taylor", [1, 1], np.ones((5, 2)), h=0.1, steps=1)  # which compiles it
+    begun = time.perf_counter()
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        many(fast, "taylor", [1, 1], np.ones((5, 2)), h=1e4, steps=1, threads=1)
+    assert time.perf_counter() - begun < 5
 
 
 def test_series_of_four_see_a_wall_that_grows():

@@ -145,6 +145,12 @@ def test_energy_over_a_long_time():
 # ---- steps of its own size -----------------------------------------------------------------------
 
 
+def test_energy_after_a_late_time():
+    """The square of s is not rounded to one side where times are multiples of 2^-26."""
+    run = dal.integrate(skate(), "taylor", t0=1e8, h=1e5, steps=6, check_h=False)
+    assert abs(run.energy - run.energy[0]).max() < 3e-13
+
+
 def test_without_h():
     """Without h a model takes its series, and other systems the reference flow."""
     run = dal.integrate(skate(), t_end=20)
