@@ -68,7 +68,8 @@ static const double PER_TOLERANCE = 10.0;
 
 /* At the start, and after so many pieces, the acceleration is compared with that of the
  * multipliers.  The run ends if the square of their difference is above ALLOWED_LOSS, and above
- * DOUBT times the square of the change of the multipliers' where x moves by MOVED of itself. */
+ * DOUBT times the square of the change of the multipliers' where x moves by MOVED of itself and of
+ * its change in the piece. */
 enum { CHECKED = 64 };
 static const double ALLOWED_LOSS = 1e-12, DOUBT = 1e4, MOVED = 0x1p-44;
 
@@ -774,7 +775,10 @@ static bool compare_acceleration(taylor *self, dal_motion *motion, bool again, d
     const double size = square(mech, known + n, self->change);
     for (size_t i = 0; i < n; i++) a[i] = x[n + i] / length;
     const double whole = size + square(mech, a, self->change);
-    for (size_t i = 0; i < 2 * n; i++) x[i] *= 1.0 + (i % 2 == 0 ? MOVED : -MOVED);
+    for (size_t i = 0; i < 2 * n; i++) { /* known has the rates of x */
+        const double way = fabs(x[i]) + length * fabs(known[i]);
+        x[i] += (i % 2 == 0 ? MOVED : -MOVED) * way;
+    }
     if (again && dal__field(mech, self->t, x, mech->point)) return false;
     for (size_t i = 0; i < n; i++)
         a[i] = known[n + i] - (again ? mech->point[n + i] : 2.0 * Y[i] / self->unit / self->unit);

@@ -152,19 +152,29 @@ def series_of(model: Model, motion: Motion) -> Series:
 
 
 def accelerations(model: Model) -> list[Node]:
-    """Return dv/dt as nodes in (t, q, v), with the multipliers eliminated as in field.h."""
-    derived, n, m = model.derived, model.n, model.m
+    """Return dv/dt as nodes in (t, q, v), with the multipliers eliminated.
+
+    The rows of mu become orthogonal in the metric M^-1, by the modified method of Gram and Schmidt:
+    rows that nearly depend on others cost digits once, in mu M^-1 mu^T they cost them twice.
+    """
+    derived, n = model.derived, model.n
     outputs = derived.terms.outputs
-    graph = outputs["F"][0].graph
     M = _rows(derived.mass or outputs["M"], n)
     mu = _rows(outputs.get("mu", ()), n)
-    free, *Z = solve(M, [list(outputs["F"]), *mu])
-    C = [[_dot(row, z) for z in Z] for row in mu]
-    right = [_dot(row, free) + g for row, g in zip(mu, outputs.get("g", ()))]
-    (lack,) = solve(C, [right])
-    return [
-        free[i] - graph.sum(Z[a][i] * lack[a] for a in range(m)) for i in range(n)
-    ]  # fmt: skip
+    g = list(outputs.get("g", ()))
+    v, *Z = solve(M, [list(outputs["F"]), *mu])
+    for a, (row, z) in enumerate(zip(mu, Z)):
+        norm = _dot(row, z)
+        v = _less(v, (_dot(row, v) + g[a]) / norm, z)
+        for b in range(a + 1, len(mu)):
+            share = _dot(mu[b], z) / norm
+            mu[b], Z[b] = _less(mu[b], share, row), _less(Z[b], share, z)
+            g[b] = g[b] - share * g[a]
+    return v
+
+
+def _less(x: Sequence[Node], share: Node, y: Sequence[Node]) -> list[Node]:
+    return [a if b.is_zero or share.is_zero else a - share * b for a, b in zip(x, y)]
 
 
 def _rows(entries: Sequence[Any], n: int) -> list[list[Any]]:

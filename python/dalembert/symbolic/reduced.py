@@ -110,7 +110,10 @@ class _Basis:
 
 @dataclass(frozen=True)
 class _Option:
-    """An operation on columns that makes a row 0: its kind, the row without a factor, columns."""
+    """An operation on columns that makes a row 0: its kind, the row without a factor, columns.
+
+    The weights of the columns are those of squares of entries, where these are added.
+    """
 
     kind: str
     row: int
@@ -119,6 +122,7 @@ class _Option:
     is_divided: bool
     at: tuple[int, ...]
     place: tuple[int, ...] = field(compare=False)
+    weights: Sequence[Polynomial] = ()
 
 
 _KINDS = ("pivot", "turn", "pair", "pivot without division", "quaternion")
@@ -410,11 +414,13 @@ class _Search:
         forms, columns = self.forms, basis.columns
         found: list[_Option] = []
 
-        def add(kind: str, at: tuple[int, ...], weight: int = 0) -> None:
-            places = (len(there), _KINDS.index(kind), weight)
+        def add(
+            kind: str, at: tuple[int, ...], length: int = 0, weights: Sequence[Polynomial] = ()
+        ) -> None:
+            places = (len(there), _KINDS.index(kind), length)
             if not self.is_chain:
-                places = places[1], places[0], weight
-            found.append(_Option(kind, r, entries, shift, is_divided, at, places))
+                places = places[1], places[0], length
+            found.append(_Option(kind, r, entries, shift, is_divided, at, places, weights))
 
         for r in rows:
             entries = [self.product(r, c) for c in columns]
@@ -429,15 +435,19 @@ class _Search:
                     kind = _KINDS[0] if forms.is_constant(entries[j]) else _KINDS[3]
                     add(kind, (j,), sum(map(bool, columns[j])))
             for i, j in itertools.combinations(there, 2):
-                if max(len(entries[i]), len(entries[j])) <= _LONG:
-                    size = self.size(entries, (i, j))
+                for weights in self.weights(columns[i], columns[j]):
+                    if max(len(entries[i]), len(entries[j])) > _LONG:
+                        break
+                    size = self.size(entries, (i, j), weights)
                     if forms.is_constant(size) and forms.sign(size) is not None:
-                        add("turn", (i, j))
+                        add("turn", (i, j), 0, weights)
+                        break
             if len(there) == 2:
-                add("pair", (there[0], there[1]))
+                weights = self.weights(*(columns[j] for j in there))[-1]
+                add("pair", (there[0], there[1]), 0, weights)
             if len(there) in (3, 4) and len(columns) >= 4:
                 free = [j for j in range(len(columns)) if j not in there]
-                add("quaternion", tuple([*there, *free][:4]))
+                add("quaternion", tuple([*there, *free][:4]), 0, [UNIT] * 4)
         if any(x.kind != "quaternion" for x in found):
             found = [x for x in found if x.kind != "quaternion"]
         return sorted(found, key=lambda x: x.place)
@@ -455,10 +465,31 @@ class _Search:
             return entries, shift, False
         return parts, forms.over(shift, factor) if shift else shift, forms.sign(factor) is None
 
-    def size(self, entries: list[Polynomial], at: Sequence[int]) -> Polynomial:
-        """Return the sum of the squares of some entries."""
+    def weights(self, one: Column, other: Column) -> list[list[Polynomial]]:
+        """Return weights of two columns: ones, and if they differ those by the inverse of M.
+
+        Only velocities themselves have such, if their masses are constant and positive.  With them
+        the size of a row does not depend on the units of the coordinates.
+        """
+        forms, masses = self.forms, []
+        for column in (one, other):
+            places = [i for i, e in enumerate(column) if e]
+            if len(places) > 1 or column[places[0]] != UNIT:
+                return [[UNIT, UNIT]]
+            masses.append(forms.of(self.reduction.M[places[0] * (self.n + 1)]))
+        is_fit = all(forms.is_constant(x) and forms.sign(x) == 1 for x in masses)
+        if not is_fit or masses[0] == masses[1]:
+            return [[UNIT, UNIT]]
+        return [[UNIT, UNIT], masses[::-1]]
+
+    def size(
+        self, entries: list[Polynomial], at: Sequence[int], weights: Sequence[Polynomial]
+    ) -> Polynomial:
+        """Return the weighted sum of the squares of some entries."""
         forms = self.forms
-        return forms.reduced(total(*((forms.multiplied(entries[j], entries[j]), 1) for j in at)))
+        squares = (forms.multiplied(entries[j], entries[j]) for j in at)
+        parts = ((forms.multiplied(x, w), 1) for x, w in zip(squares, weights))
+        return forms.reduced(total(*parts))
 
     def combined(self, *parts: tuple[Column, Polynomial]) -> Column:
         """Return a sum of multiples of columns."""
@@ -492,14 +523,15 @@ class _Search:
                     new.append(self.combined((columns[i], x[j]), (columns[j], scaled(x[i], -1))))
                     dual.append(self.combined((duals[i], inverse)))
         else:
-            size = self.size(x, at)
-            inverse = forms.inverse(size)
-            along = [(columns[j], forms.times(x[j], inverse)) for j in at]
+            weights = option.weights
+            inverse = forms.inverse(self.size(x, at, weights))
+            shares = [forms.times(w, inverse) for w in weights]
+            along = [(columns[j], forms.times(x[j], f)) for j, f in zip(at, shares)]
             for signs in _KERNEL[len(at)]:
                 parts = [(at[i], scaled(x[at[j]], s)) for i, (j, s) in enumerate(signs)]
                 new.append(self.combined(*((columns[i], f) for i, f in parts)))
                 dual.append(self.combined(*(
-                    (duals[i], forms.times(f, inverse)) for i, f in parts
+                    (duals[i], forms.times(f, shares[j])) for (i, f), (j, _) in zip(parts, signs)
                 )))  # fmt: skip
             for i in others:
                 if x[i]:

@@ -576,6 +576,13 @@ def test_a_large_term_that_does_no_work(size):
     assert abs(ends[0].q[-1] - ends[1].q[-1]).max() <= 1e-13
 
 
+def test_a_large_force_along_the_constraint():
+    """Its multiplier has roundoff of the size of the acceleration, also where an angle is 0."""
+    run = dal.integrate(skate(force={y: -1e12}), q0=[0, 0, 0], v0=[1, 0, 1], t_end=1e-5)
+    speed = 1 - 2e12 * np.sin(5e-6) ** 2 - np.sin(1e-5) / 2
+    assert abs(np.hypot(*run.v[-1, :2]) / abs(speed) - 1) < 1e-13
+
+
 @pytest.mark.parametrize("unit, right", [(1.0, True), (16.0, True), (1e8, False), (1e20, False)])
 def test_units_that_are_far_apart(unit, right):
     """A sphere in R^4 with one coordinate in another unit: right, or refused."""

@@ -7,6 +7,7 @@ import sys
 from fractions import Fraction
 from pathlib import Path
 
+import mpmath
 import numpy as np
 import pytest
 import sympy
@@ -15,12 +16,13 @@ from sympy import Rational, cos, sin
 
 import dalembert as dal
 from dalembert import compiler
-from dalembert.symbolic import given
+from dalembert.symbolic import given, motion as motions
 from dalembert.symbolic.convolutions import cost
 from dalembert.symbolic.graph import Graph, below
 from dalembert.symbolic.motion import agrees, motion
 from dalembert.symbolic.printing import as_function
 from dalembert.symbolic.reduced import NotReduced, Reduced, _copied
+from dalembert.symbolic.values import values
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks/peers"))
 import problems  # noqa: E402
@@ -330,6 +332,39 @@ def test_pair_of_a_parameter_and_a_coordinate():
     numbers.check()
     numbers.check(p=[0.0])  # and where the parameter is 0
     numbers.check(q=[0.3, 0.1, 0.0])
+
+
+def test_turns_and_pairs_in_other_units():
+    """Squares of velocities have the weights of the kinetic energy."""
+    T = unit([X.d / POSITIVE, Y.d, Z.d])
+    model = model_of(T, [sin(Z) * X.d / POSITIVE - cos(Z) * Y.d], Q3)
+    assert words(model) == ["turn"]
+    Numbers(model).check()
+    model = model_of(T, [Z * X.d / POSITIVE - X * Y.d + 1], Q3)
+    assert words(model) == ["pair"]
+    there = Numbers(model).check(q=[0.3, 0.5, 0.7], p=[100.0])
+    row = np.array([0.7 / 100, -0.3, 0])  # e has the least kinetic energy
+    moved = row * [1e4, 1, 1]
+    np.testing.assert_allclose(there["e"], -moved / (row @ moved), rtol=1e-13)
+
+
+def test_rows_that_nearly_depend_on_others():
+    """They cost digits once, not twice."""
+    q, v = moving("x y z w")
+    one = [sin(q[1] + i * q[3]) + i for i in range(4)]
+    other = [cos(q[0] * i - q[2]) for i in range(4)]
+    small = sp.Symbol("small")
+    rows = [sum(map(sp.prod, zip(one, v))),
+            sum((a + small * b) * e for a, b, e in zip(one, other, v))]  # fmt: skip
+    model = model_of(unit(v) - q[0] ** 2 * q[1], rows, q)
+    nodes = motions.accelerations(model)
+    point = dict(zip([e.name for e in (*model.q, *model.v, *model.p)],
+                     [0.3, 0.5, -0.7, 0.2, 1.0, 0.5, 0.25, -1.0, 2.0**-20]))  # fmt: skip
+    rounded = values(nodes, point)
+    with mpmath.workdps(60):
+        exact = values(nodes, point)
+        apart = max(abs(a - b) for a, b in zip(rounded, exact)) / max(map(abs, exact))
+    assert apart < 1e-8
 
 
 def test_common_factors_vanish():
