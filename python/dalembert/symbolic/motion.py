@@ -154,8 +154,8 @@ def series_of(model: Model, motion: Motion) -> Series:
 def accelerations(model: Model) -> list[Node]:
     """Return dv/dt as nodes in (t, q, v), with the multipliers eliminated.
 
-    The rows of mu become orthogonal in the metric M^-1, by the modified method of Gram and Schmidt:
-    rows that nearly depend on others cost digits once, in mu M^-1 mu^T they cost them twice.
+    The rows of mu become orthogonal in the metric M^-1, by the modified method of Gram and Schmidt.
+    Rows that nearly depend on others cost digits once; in mu M^-1 mu^T they would do so twice.
     """
     derived, n = model.derived, model.n
     outputs = derived.terms.outputs
