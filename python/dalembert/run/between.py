@@ -1,6 +1,6 @@
 """States between the stored ones of a run, by steps of its scheme.
 
-Used if the step size varies, or there are inputs.
+Used if the step size varies, if there are inputs, and for Taylor series, which are as exact there.
 """
 
 from __future__ import annotations
@@ -34,15 +34,24 @@ def fill(run: Any, times: Array, x: Array) -> None:
             f"t: no states are computed between those of {run.scheme.name!r} with inputs; "
             "expected times of stored states"
         )
+    is_series = run.scheme.family == "taylor"
+    control = {"h": "own"} if is_series else run.control
     record, kept = run.scheme._record_of(run.system)
     handle = run.scheme._stepped(run.system)._handle
-    stepper = core.make("stepper", handle, record, in_c(run.control), owner=(handle, kept))
+    stepper = core.make("stepper", handle, record, in_c(control), owner=(handle, kept))
     changes = _changes(run, known)
     rows = dict(zip(run.t.tolist(), run.x))  # which come back as they are
-    for k, place in enumerate(places):
-        x[k] = rows.get(times[k], states[place])
-        if times[k] != known[place]:
-            x[k] = _reach(run, stepper, changes, float(known[place]), states[place], times[k])
+    from_row = None  # of the stepper
+    for k in np.argsort(ahead * times, kind="stable"):
+        place, t = places[k], float(times[k])
+        x[k] = rows.get(t, states[place])
+        if t == known[place]:
+            continue
+        if is_series and place == from_row and not len(run.inputs):
+            x[k] = _lead(run, stepper, t)  # a step has many states
+        else:
+            x[k] = _reach(run, stepper, control, changes, float(known[place]), states[place], t)
+        from_row = place
 
 
 def _known(run: Any) -> tuple[Array, Array]:
@@ -63,10 +72,12 @@ def _changes(run: Any, known: Array) -> Array:
     return run.t0 + ahead * run.hold * np.arange(len(run.inputs))
 
 
-def _reach(run: Any, stepper: Any, changes: Array, t: float, x: Array, end: float) -> Array:
+def _reach(
+    run: Any, stepper: Any, control: dict[str, Any], changes: Array, t: float, x: Array, end: float
+) -> Array:
     """Return the state at time ``end``, by steps from x at t."""
     kind, ahead = run.system.kind, 1.0 if end > t else -1.0
-    by_motion = run.control.get("h") == "reversible"  # whose first step is found by itself
+    by_motion = control.get("h") in ("own", "reversible")  # whose first step is found by itself
     slack = 4 * np.spacing(max(abs(t), abs(end)))  # so near a change is at t, or at the end
     passed = changes[(ahead * (changes - t) > slack) & (ahead * (end - changes) > slack)]
     for until in [*passed.tolist(), end]:
@@ -74,7 +85,7 @@ def _reach(run: Any, stepper: Any, changes: Array, t: float, x: Array, end: floa
         if len(run.inputs):  # the state may lie in the D of those before
             row_before = max(row - run.system.is_driven, 0)
             core.call(kind, lib.dal_stepper_input, stepper, run.inputs[row_before].copy())
-        pieces = 1 if run.control else math.ceil(abs((until - t) / run.h) * (1 - 1e-9))
+        pieces = 1 if control else math.ceil(abs((until - t) / run.h) * (1 - 1e-9))
         core.call(
             kind, lib.dal_stepper_start, stepper, t,
             ahead * np.inf if by_motion else (until - t) / pieces, x,
@@ -82,11 +93,19 @@ def _reach(run: Any, stepper: Any, changes: Array, t: float, x: Array, end: floa
         )  # fmt: skip
         if run.system.is_driven and len(run.inputs):
             core.call(kind, lib.dal_stepper_input, stepper, run.inputs[row].copy())
-        if run.control:
-            core.call(kind, lib.dal_stepper_until, stepper, until)
-            while lib.dal_stepper_time(stepper) != until:
-                core.call(kind, lib.dal_step, stepper, core.ffi.NULL)
+        if control:
+            x = _lead(run, stepper, until)
         else:
             core.call(kind, lib.dal_advance, stepper, pieces, core.ffi.NULL, core.ffi.NULL)
-        t, x = until, core.doubles(lib.dal_stepper_state(stepper), 2 * run.system.n)
+            x = core.doubles(lib.dal_stepper_state(stepper), 2 * run.system.n)
+        t = until
     return x
+
+
+def _lead(run: Any, stepper: Any, end: float) -> Array:
+    """Return the state at time ``end``, by steps of variable size from where the stepper is."""
+    kind = run.system.kind
+    core.call(kind, lib.dal_stepper_until, stepper, end)
+    while lib.dal_stepper_time(stepper) != end:
+        core.call(kind, lib.dal_step, stepper, core.ffi.NULL)
+    return core.doubles(lib.dal_stepper_state(stepper), 2 * run.system.n)

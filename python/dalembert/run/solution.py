@@ -502,7 +502,8 @@ class Solution(Mapping[str, Any]):
 
         If the step size varies, or there are inputs, steps of the scheme lead to the states, each
         from the stored state before.  They have the error of the run.  Each costs one step, or as
-        many as there are between two stored states.
+        many as there are between two stored states.  With "taylor" it is always so, and all states
+        within a step come from its polynomial.
 
         Parameters
         ----------
@@ -538,7 +539,7 @@ class Solution(Mapping[str, Any]):
         flat = times.reshape(-1)
         x, changes = np.empty((flat.size, 2 * self.system.n)), 0
         assert self.inputs is not None
-        if self.control or len(self.inputs):
+        if self.control or len(self.inputs) or self.scheme.family == "taylor":
             between.fill(self, flat, x)
         else:
             for first, rows, these in self._pieces(flat):

@@ -280,6 +280,20 @@ def test_bounces_between_walls(speed, given):
     assert len(run.t) < 10 * len(expected) + 101 / given.get("h", 1)
 
 
+@pytest.mark.parametrize("given", [{}, {"h": 2.0}, {"h": 2.0, "t_eval": [3, 19]}])
+def test_states_between_rows(given):
+    """They are as exact as the rows, in any order, and in D."""
+    run = dal.integrate(skate(), "taylor", t_end=20, **given)
+    times = np.random.default_rng(1).uniform(3, 19, 50)
+    found = run(times)
+    order = np.argsort(times)
+    exact = dal.integrate(skate(), t_end=20, t_eval=times[order])
+    np.testing.assert_allclose(found.q[order], exact.q, rtol=0, atol=1e-14)
+    assert run.system.relative_residual(found.q, found.v).max() < 4e-16
+    for t, q in zip(times[:3], found.q):
+        assert (run(t).q == q).all()
+
+
 def test_the_next_double():
     run = dal.integrate(skate(), t_end=20)
     for i in (1, 3, -2):
