@@ -42,11 +42,9 @@ static size_t order_for(double size)
 static const double SAFETY = 0.96;
 
 /* Each piece is examined at its end: whether its polynomial solves the ODE there.  Series do not
- * see beyond a branch point where a function is finite.  The first piece, and one that is so much
- * longer than the one before, are examined at INSIDE places between too.  So are, at more places,
- * all pieces of a system where a pulse in time may come. */
-static const double GROWTH = 2.0;
-enum { INSIDE = 3, INSIDE_IN_TIME = 15 };
+ * see beyond a branch point where a function is finite, nor pulses as those of cos(t)^100.  Systems
+ * that have such are examined at so many places inside each piece too. */
+enum { INSIDE = 15 };
 
 /* Nor do series see an exponential that is far below the last digit where they begin and large
  * later, as exp(-1000 x), or a narrow hill exp(-1000 x^2).  So its argument grows by at most RISE
@@ -56,9 +54,9 @@ static const double RISE = 20.0, FAINT = -700.0;
 /* A piece is at least 1/FAR of the unit of its coefficients; if not, the unit becomes smaller. */
 enum { FAR = 64 };
 
-/* The most units of a piece.  Only last coefficients that are nearly zero would allow more.  Where
- * a pulse in time may come pieces grow more slowly. */
-static const double LONGEST = 8.0, LONGEST_IN_TIME = 2.0;
+/* The most units of a piece.  Only last coefficients that are nearly zero would allow more.  In
+ * doubt pieces grow more slowly. */
+static const double LONGEST = 8.0, LONGEST_IN_DOUBT = 2.0;
 
 /* The slopes may differ by the root of the tolerance, relative to their size, or by this. */
 static const double LEAST_ALLOWED = 1e-10;
@@ -578,19 +576,11 @@ static bool solves_at(taylor *self, const dal_motion *motion, double t, double u
     return has_slopes(self, t, unit);
 }
 
-/* At how many places inside it a piece of so many units is examined. */
-static int places_inside(const taylor *self, double units)
+/* The same at places inside the piece, if there is doubt. */
+static bool solves_inside(taylor *self, const dal_motion *motion)
 {
-    if (self->series->is_timed) return INSIDE_IN_TIME;
-    const double last = self->last_length;
-    return last == 0.0 || units * self->unit > GROWTH * last ? INSIDE : 0;
-}
-
-/* The same at places inside the piece. */
-static bool solves_inside(taylor *self, const dal_motion *motion, int places)
-{
-    for (int k = 1; k <= places; k++) {
-        const double part = (double)k / (places + 1.0);
+    for (int k = 1; self->series->is_doubtful && k <= INSIDE; k++) {
+        const double part = (double)k / (INSIDE + 1.0);
         const double t = self->t + part * (self->end - self->t);
         if (!solves_at(self, motion, t, self->unit, 1)) return false;
     }
@@ -605,11 +595,11 @@ static double unit_after(const taylor *self, double length)
 }
 
 /* The same inside and at its end, where the next piece begins; the piece has room for a length. */
-static bool solves(taylor *self, const dal_motion *motion, int places, double room)
+static bool solves(taylor *self, const dal_motion *motion, double room)
 {
     const bool goes_on = self->switched == self->series->switches && self->series->in_D;
     const double unit = goes_on ? unit_after(self, room) : self->unit;
-    if (!solves_inside(self, motion, places)
+    if (!solves_inside(self, motion)
         || !solves_at(self, motion, self->end, unit, goes_on ? self->order : 1)) return false;
     if (goes_on) self->next_unit = unit;
     self->last_length = room;
@@ -635,7 +625,7 @@ static double at_random(double t)
  * without, a periodic motion may have the same pieces in each period, and roundoff adds up. */
 static double limit(const taylor *self, double *units)
 {
-    const double most = self->series->is_timed ? LONGEST_IN_TIME : LONGEST;
+    const double most = self->series->is_doubtful ? LONGEST_IN_DOUBT : LONGEST;
     if (*units <= most) return *units * at_random(self->t);
     *units = HUGE_VAL; /* its length says nothing of the scale of the motion */
     return most;
@@ -666,14 +656,13 @@ static bool cross(taylor *self)
 
 /* Shortens the piece of so many units, in a time of length, until its polynomial solves the ODE.
  * Returns false if then it leads nowhere. */
-static bool shorten(taylor *self, const dal_motion *motion, int places, double units,
-                    double length)
+static bool shorten(taylor *self, const dal_motion *motion, double units, double length)
 {
     enum { HALVINGS = 60 };
     for (int k = 0; k <= HALVINGS; k++, length *= 0.5) {
         self->end = time_after(self, direction_of(motion), length);
         if (self->end == self->t) return false;
-        if (solves(self, motion, places, room_for(self, units, length))) return true;
+        if (solves(self, motion, room_for(self, units, length))) return true;
         units = 0.5 * length / self->unit;
         self->switched = self->series->switches;
     }
@@ -689,11 +678,10 @@ static int begin_piece(taylor *self, dal_motion *motion)
         double units;
         const int status = expand_on_sides(self, motion, &units);
         if (status) return status;
-        const int places = places_inside(self, units);
         const double most = until_rise(self, direction, limit(self, &units));
         const double length = until_switch(self, direction, most) * self->unit;
         self->stale = false;
-        if (shorten(self, motion, places, units, length)) return DAL_SUCCESS;
+        if (shorten(self, motion, units, length)) return DAL_SUCCESS;
         if (self->switched == switches) self->switched = switch_at_hand(self, direction);
         if (self->switched == switches) return fail_to_go_on(self, motion, length);
         if (!cross(self)) return fail_to_slide(self, motion);
@@ -957,12 +945,11 @@ static bool plan_piece(dal__side *side)
     expand_here(self, motion);
     double units = allowed_units(self);
     if (!(units >= 1.0 / FAR)) return false;
-    const int places = places_inside(self, units);
     const double most = until_rise(self, direction_of(motion), limit(self, &units));
     const double length = most * self->unit;
     side->room = room_for(self, units, length);
     self->end = time_after(self, direction_of(motion), length);
-    return self->end != self->t && solves_inside(self, motion, places)
+    return self->end != self->t && solves_inside(self, motion)
         && look_at(self, self->end);
 }
 

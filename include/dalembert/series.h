@@ -47,7 +47,7 @@ typedef struct dal_series {
     size_t width;    /* numbers of a row: all together, to a multiple of four */
     size_t room;     /* numbers of workspace for each order */
     int in_D;        /* 1: v is in D for all y; 0: w is v */
-    int is_timed;    /* 1: there may be a pulse in time that a series before it does not show */
+    int is_doubtful; /* 1: a pulse or a branch may come that a series before it does not show */
     /* Y[(order + 1)*width] <- the coefficients; work[(order + 1)*room].  Both are aligned to 64. */
     void (*expand)(const dal_series_at *at, size_t order, double *Y, double *work, const void *p);
     /* The same for four motions, with the same bits; work[4*(order + 1)*room].  NULL if the system

@@ -258,7 +258,7 @@ class Writer:
             return None
         if e.op == "/":
             return f"1.0 / {self._part(e.args[1])}"
-        if e.op in ("sqrt", "power"):  # 0 stays 0, which the caller examines, see is_branched
+        if e.op in ("sqrt", "power"):  # 0 stays 0, which the caller examines
             one = "0.5" if e.op == "sqrt" else "1.0"
             divisor = self.zeroth(e) if e.op == "sqrt" else f"({self._base(e.args[0])})"
             if self.four:
@@ -452,7 +452,7 @@ def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
     _values(made, "quasi", "t, x, u, w, p", motion.quasi, x, time)
     sizes = (len(y), len(series.switches), len(series.exponents), one.width,
              8 * one.vectors)  # fmt: skip
-    flags = int(motion.in_D), int(series.is_timed)
+    flags = int(motion.in_D), int(series.is_doubtful)
     made.add(
         "static const dal_series model_series = {\n"
         f"    DAL_SERIES_ABI, {', '.join(map(str, (*sizes, *flags)))},\n"

@@ -30,7 +30,8 @@ from .graph import CONDITIONS, Graph, Node, below, mask_of
 # Degree of a series that does not end.
 ENDLESS = 2
 
-_LOW = 4  # power of the time, sines and cosines; high powers are pulses
+# Powers of the time, and of sines and cosines; higher ones are pulses.
+_LOW, _LOW_OF_WAVES = 4, 16
 
 COMPARED = ("max", "min", "<", "<=", "==", "!=")
 _ALONE = ("fabs", "sign", "step")
@@ -39,9 +40,8 @@ _CONSTANT = ("sign", "step", *CONDITIONS)  # between switches
 # Functions that may be far below the last digit, and then grow beyond all others.
 _EXPONENTIAL = ("exp", "sinh", "cosh")
 
-# Functions that stay finite at branch points: beyond one the series goes on as that of sqrt(t^2)
-# does, without a sign of it in its coefficients.
-_BRANCHED = ("sqrt", "asin", "acos", "acosh", "atan2")
+# Functions with branches where they are finite: beyond, the series of asin(sin(t)) goes on as t.
+_BRANCHED = ("asin", "acos", "acosh", "atan2")
 
 
 @dataclass(frozen=True)
@@ -176,9 +176,9 @@ class Series:
         The number of the switch of a function with branches, and the factor of its sign.
     exponents : dict of Node to None
         The arguments of exponential functions; they become large where those do.
-    is_timed : bool
-        Whether a rate depends on time otherwise than by low powers of the time, of sines and of
-        cosines.
+    is_doubtful : bool
+        Whether something may come that the series do not show: a pulse in time or of an angle,
+        or another branch.
     """
 
     def __init__(self, states: Mapping[Node, Node], time: Node) -> None:
@@ -196,32 +196,43 @@ class Series:
                  *self.exponents]  # fmt: skip
         self.nodes = below(every)
         self.degree = self._degrees()
-        self.is_timed = self._is_timed()
+        self.is_doubtful = self._has_branches() or self._has_pulses()
         self.pairs: dict[Pair, int] = {}
         for e in self.nodes:
             for pair in self.needs(e):
                 self.pairs.setdefault(pair, len(self.pairs))
 
-    def _is_timed(self) -> bool:
-        """Return whether something may come that the series do not show: a pulse, a start."""
-        changing = mask_of([self.time])
+    def _has_branches(self) -> bool:
+        return any(e.op in _BRANCHED and self.degree[e] > 0 for e in self.nodes)
+
+    def _has_pulses(self) -> bool:
+        """Return whether there are other functions of time than low powers, or high powers of waves.
+
+        Exponentials are followed by their arguments.
+        """
+        clock = mask_of([self.time])
         power: dict[Node, float] = {}  # of the time, sines and cosines in it
+        waves: dict[Node, int] = {}  # the same of sines and cosines of anything
         for e in self.nodes:
             args = [power[a] for a in e.args]
-            if not e.reach & changing:
+            several = [waves[a] for a in e.args]
+            is_wave = e.op in ("sin", "cos")
+            waves[e] = sum(several) if e.op == "*" else max([*several, is_wave])
+            if not e.reach & clock:
                 power[e] = 0
             elif e is self.time:
                 power[e] = 1
-            elif e.op in ("+", "-"):
+            elif e.op in ("+", "-") or e.op in _EXPONENTIAL:
                 power[e] = max(args)
             elif e.op == "*":
                 power[e] = sum(args)
             elif e.op == "/":
                 power[e] = args[0] if args[1] == 0 else math.inf
             else:
-                is_wave = e.op in ("sin", "cos") and args[0] == 1 and self.degree[e.args[0]] == 1
-                power[e] = 1 if is_wave else math.inf
-        return max(power.values(), default=0) > _LOW
+                is_even = args[0] == 1 and self.degree[e.args[0]] == 1
+                power[e] = 1 if is_wave and is_even else math.inf
+        high = max(waves.values(), default=0) > _LOW_OF_WAVES
+        return high or max(power.values(), default=0) > _LOW
 
     def _complete(self) -> None:
         """Find the series that functions need besides their arguments, and the switches."""

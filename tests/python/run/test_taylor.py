@@ -516,6 +516,20 @@ def test_hills_that_are_narrower_than_steps(width):
             assert abs(run.energy / run.energy[0] - 1).max() < 1e-12
 
 
+def test_narrow_wells_of_an_angle():
+    """A step of the oscillator leads over several of them."""
+    system = free(x**2 / 50 - sp.cos(y) ** 60 / 5)
+    run = dal.integrate(system, q0=[1, np.pi / 2], v0=[0, 0.5], t_end=100)
+    assert abs(run.energy - run.energy[0]).max() < 1e-12 and run.v[:, 1].max() > 0.7
+
+
+def test_another_branch():
+    """Over the crest of acos(cos(x)) and back in one step."""
+    crest = free((x - 1) ** 2 * 5 + sp.acos(sp.cos(3 * x)) / 10)
+    with pytest.raises(dal.ConvergenceError, match="step size collapsed"):
+        dal.integrate(crest, q0=[1.04, 0], v0=[0.2, 0], t_end=1)
+
+
 def test_decay():
     """A speed that vanishes among others: its digits are not followed below 1e-45."""
     system = free(x**2 / 2, force={y: -50 * y.d})
