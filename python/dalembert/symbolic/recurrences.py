@@ -206,7 +206,7 @@ class Series:
         return any(e.op in _BRANCHED and self.degree[e] > 0 for e in self.nodes)
 
     def _has_pulses(self) -> bool:
-        """Return whether there are other functions of time than low powers, or high powers of waves.
+        """Return whether there are functions of time but low powers, or high powers of waves.
 
         Exponentials are followed by their arguments.
         """
