@@ -1,6 +1,7 @@
 """The scheme "taylor": the flow of the ODE on D by the series of a model."""
 
 import functools
+import math
 import os
 import pickle
 import signal
@@ -514,6 +515,14 @@ def test_hills_that_are_narrower_than_steps(width):
         for _ in range(10):
             run = dal.integrate(system, q0=rng.normal(size=2) / 2, v0=rng.normal(size=2), t_end=20)
             assert abs(run.energy / run.energy[0] - 1).max() < 1e-12
+
+
+def test_narrow_waves_of_time():
+    """All coefficients are 0 where the cosine is, and at the end of a step too."""
+    waves = free(0, force={x: sp.cos(t) ** 100})
+    run = dal.integrate(waves, "taylor", [0, 0], [0, 1], t0=np.pi / 2, h=3 * np.pi, steps=1)
+    one = np.pi * math.comb(100, 50) / 2**100
+    assert abs(run.v[-1, 0] / (3 * one) - 1) < 1e-13
 
 
 def test_narrow_wells_of_an_angle():
