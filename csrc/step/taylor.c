@@ -238,9 +238,9 @@ static void release(void *method)
 static void start(void *method, dal_motion *motion)
 {
     taylor *const self = method;
-    if (motion->steps == 0) self->unit = 0.0;
+    (void)motion;
     self->going = self->fresh = false;
-    self->last_length = self->next_unit = self->before = 0.0;
+    self->unit = self->last_length = self->next_unit = self->before = 0.0;
     self->shrinks = false;
     self->pieces = 0;
 }
@@ -833,7 +833,6 @@ static bool is_at(const taylor *self, const dal_motion *motion, double t)
 static int begin(taylor *self, dal_motion *motion, double t)
 {
     const size_t n = self->n, size = self->width * sizeof(double);
-    const double length = fmax(fabs(motion->h), NEAR * DAL_ROUNDOFF * fabs(t));
     const bool same = is_at(self, motion, t);
     memset(self->low, 0, size);
     if (same) memcpy(self->low, self->row_low, size);
@@ -845,7 +844,7 @@ static int begin(taylor *self, dal_motion *motion, double t)
     self->t = self->row_t = t;
     self->last_length = self->next_unit = 0.0;
     for (size_t i = 0; i < self->series->switches; i++) self->side[i] = self->crossed[i] = 0.0;
-    if (self->unit == 0.0) self->unit = power_of_2(length);
+    if (self->unit == 0.0) self->unit = power_of_2(fabs(motion->h));
     memcpy(self->x, motion->x, 2 * n * sizeof(double));
     memcpy(self->row, self->y, size);
     memcpy(self->row_low, self->low, size);

@@ -152,15 +152,18 @@ def test_ctrl_c_in_a_long_step():
     assert time.perf_counter() - begun < 5
 
 
-def test_series_of_four_see_a_wall_that_grows():
-    """A wall exp(-1000 x), which the coefficients of a first piece do not show."""
+@pytest.mark.parametrize("power", [False, True])
+def test_series_of_four_see_a_wall_that_grows(power):
+    """The coefficients of the first piece do not show exp(-1000 x), nor (1 - x)^60 at x = 1."""
     x, y = dal.coordinates("x y")
-    wall = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - sympy.exp(-1000 * x), [])
+    V = (x - 1) ** 60 if power else sympy.exp(-1000 * x)
+    wall = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - V, [])
     v0 = np.column_stack([np.linspace(-0.5, -1.5, 8), np.ones(8)])
     ends = [many(wall, "taylor", [1, 0], v0, h=0.5, steps=6, lanes=lanes).v
             for lanes in (False, True)]  # fmt: skip
     np.testing.assert_array_equal(*ends)
-    np.testing.assert_allclose(ends[0][:, 0], -v0[:, 0], rtol=1e-12)  # all have come back
+    assert (abs(ends[0][:, 0]) <= 1.000001 * abs(v0[:, 0])).all()
+    assert power or (ends[0][:, 0] > 0).all()  # all have come back
 
 
 def test_order_threads_and_blocks_change_no_bit():
