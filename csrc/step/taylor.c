@@ -429,8 +429,8 @@ static int expand_on_sides(taylor *self, dal_motion *motion, double *units)
     return DAL_SUCCESS;
 }
 
-/* Of a switch: the factor of its sign, its value where the piece begins, and its coefficients by
- * the distance from there.  A zero that it has there is divided out. */
+/* A series whose first change of sign is wanted: its sign now, its value where the piece begins,
+ * and its coefficients by the distance from there.  A zero at the beginning is divided out. */
 typedef struct sign_change {
     const double *g;
     size_t count, next;
@@ -948,8 +948,7 @@ static bool plan_piece(dal__side *side)
     const double length = most * self->unit;
     side->room = room_for(self, units, length);
     self->end = time_after(self, direction_of(motion), length);
-    return self->end != self->t && solves_inside(self, motion)
-        && look_at(self, self->end);
+    return self->end != self->t && solves_inside(self, motion) && look_at(self, self->end);
 }
 
 /* The coefficients at the ends of some pieces that are planned; their examination. */

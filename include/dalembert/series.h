@@ -43,7 +43,8 @@ typedef struct dal_series {
     size_t states;   /* of y */
     size_t switches; /* series that follow on those of y: until one of them changes its sign,
                         functions such as maxima have the branches of these sides */
-    size_t exponents; /* series that follow on those: the arguments of exponentials */
+    size_t exponents; /* series that follow on the switches: the arguments of exponentials, which
+                        may rise from below the last digit; pieces limit their growth */
     size_t width;    /* numbers of a row: all together, to a multiple of four */
     size_t room;     /* numbers of workspace for each order */
     int in_D;        /* 1: v is in D for all y; 0: w is v */

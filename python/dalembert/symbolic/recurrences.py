@@ -229,8 +229,8 @@ class Series:
             elif e.op == "/":
                 power[e] = args[0] if args[1] == 0 else math.inf
             else:
-                is_even = args[0] == 1 and self.degree[e.args[0]] == 1
-                power[e] = 1 if is_wave and is_even else math.inf
+                is_uniform = args[0] == 1 and self.degree[e.args[0]] == 1
+                power[e] = 1 if is_wave and is_uniform else math.inf
         high = max(waves.values(), default=0) > _LOW_OF_WAVES
         return high or max(power.values(), default=0) > _LOW
 

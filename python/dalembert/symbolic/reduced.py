@@ -435,9 +435,9 @@ class _Search:
                     kind = _KINDS[0] if forms.is_constant(entries[j]) else _KINDS[3]
                     add(kind, (j,), sum(map(bool, columns[j])))
             for i, j in itertools.combinations(there, 2):
+                if max(len(entries[i]), len(entries[j])) > _LONG:
+                    continue
                 for weights in self.weights(columns[i], columns[j]):
-                    if max(len(entries[i]), len(entries[j])) > _LONG:
-                        break
                     size = self.size(entries, (i, j), weights)
                     if forms.is_constant(size) and forms.sign(size) is not None:
                         add("turn", (i, j), 0, weights)
