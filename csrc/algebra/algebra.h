@@ -71,6 +71,23 @@ size_t dal__independent_rows(size_t m, double *G, double least, size_t *order);
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
 
+/* ---- polynomials --------------------------------------------------------------------------- */
+
+enum { DAL_ROOTS_MOST = 40 };
+
+typedef struct dal__sign_changes {
+    size_t count;
+    double at[DAL_ROOTS_MOST]; /* in (0, 1), in order */
+    int first, last;           /* the sign after 0, and before 1; 0 if all values are noise */
+    double touch;              /* where the polynomial first comes to zero without such a change, or
+                                  too close to tell; or NaN */
+} dal__sign_changes;
+
+/* The places where sum c_k s^k, k <= order <= DAL_ROOTS_MOST, changes its sign.  What is not more
+ * than noise, or the rounding of the sum, is zero. */
+void dal__find_sign_changes(size_t order, const double *c, double noise,
+                            dal__sign_changes *found);
+
 /* ---- linear equations ---------------------------------------------------------------------- */
 
 /* A diagonal block, decoupled from the others, with all entries within width of the diagonal; or

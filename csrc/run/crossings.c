@@ -3,10 +3,12 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 enum { HALVINGS = 12 }; /* in which a guard that was reset has to show its sign */
 #define NEARBY 0x1p-10  /* the part of a step over which the rate of g is differenced */
+#define SAME_PLACE 1e-9 /* of a step: places of one crossing by two ways to compute it */
 #define LEAST_LEFT 0x1p-24 /* of a step, over which the change of v is more than its rounding */
 
 /* ---- states within a step ------------------------------------------------------------------ */
@@ -33,12 +35,23 @@ int dal__probe(dal_events *e, double t, double length, double *x)
                              e->step + 1, e->t);
 }
 
+/* The piece of the step, if it has only one: that of the span, unless a reset has led elsewhere. */
+static bool find_piece(const dal_events *e, dal__piece *piece)
+{
+    return !e->landed && dal__taylor_piece(e->stepper, e->t, piece);
+}
+
 int dal__reach(dal_events *e, double theta, double *x)
 {
+    dal__piece piece;
     memcpy(x, theta == 1.0 ? e->end : e->begin, 2 * e->n * sizeof *x);
     e->lost = 0;
     if (theta == 1.0) return DAL_SUCCESS;
-    return dal__probe(e, dal__time_at(e, e->from), (theta - e->from) * e->h, x);
+    if (!find_piece(e, &piece))
+        return dal__probe(e, dal__time_at(e, e->from), (theta - e->from) * e->h, x);
+    const int status = dal__taylor_state(e->probe, &piece, dal__time_at(e, theta), x);
+    return dal__fail_because(e->error, status, &e->probe->error, "a state within step %zu (t = "
+                             "%g): ", e->step + 1, e->t);
 }
 
 int dal__event_value(dal_events *e, size_t event, double t, const double *x, double *g)
@@ -62,9 +75,45 @@ static int value_at(dal_events *e, size_t event, double theta, double *g)
     return status ? status : dal__event_value(e, event, dal__time_at(e, theta), e->x, g);
 }
 
+/* Visits the first piece: its rate of g. */
+typedef struct first_rate {
+    dal__along *along;
+    double rate;
+    dal_error *error;
+} first_rate;
+
+static int find_first_rate(const dal__piece *piece, double from, double to, void *ctx)
+{
+    first_rate *const self = ctx;
+    (void)to;
+    return dal__along_rate(self->along, piece, from, &self->rate, self->error);
+}
+
+/* *rate <- dg/dtheta by series, of the motion that leads to x or goes on from there.  Returns false
+ * if there are none. */
+static bool find_rate_of_series(dal_events *e, size_t event, double theta, const double *x,
+                                double ahead, double *rate)
+{
+    dal__piece piece;
+    dal_error ignored = {0};
+    const double t = dal__time_at(e, theta);
+    first_rate first = {.along = e->along[event], .error = &ignored};
+    if (!first.along) return false;
+    if (ahead < 0.0) {
+        if (!find_piece(e, &piece)
+            || dal__along_rate(first.along, &piece, t, &first.rate, &ignored)) return false;
+    } else if (dal_stepper_start(e->probe, t, e->h, x, DAL_ASSUME, DAL_INITIAL_NONE)
+               || dal__taylor_visit(e->probe, t, find_first_rate, &first)) {
+        return false;
+    }
+    *rate = first.rate * e->h;
+    return true;
+}
+
 int dal__event_rate(dal_events *e, size_t event, double theta, const double *x, double g,
                    double ahead, double *rate)
 {
+    if (find_rate_of_series(e, event, theta, x, ahead, rate)) return DAL_SUCCESS;
     const size_t n = e->n;
     const double *const v0 = e->begin + n, *const v1 = e->end + n;
     const double left = 1.0 - e->from;
@@ -128,16 +177,29 @@ static int find_zero(search *s, double *theta)
     return s->status;
 }
 
+static int add(dal_events *e, size_t event, double theta, int to, size_t *found)
+{
+    if (*found == e->room) {
+        const size_t room = e->room > 0 ? 2 * e->room : 16;
+        crossing *const larger = realloc(e->crossings, dal__times(room, sizeof *larger));
+        if (!larger) return dal__fail(e->error, DAL_ENOMEM, "no memory for %zu events in a step",
+                                      room);
+        e->crossings = larger;
+        e->room = room;
+    }
+    e->crossings[(*found)++] = (crossing){.event = event, .theta = theta, .to = to};
+    return DAL_SUCCESS;
+}
+
 /* Where event crosses to the side between low and high, at which g is known. */
 static int locate(dal_events *e, size_t event, double low, double at_low, double high,
                   double at_high, int to, size_t *found)
 {
     search s = {.events = e, .event = event, .low = low, .at_low = at_low, .high = high,
                 .at_high = at_high, .function = value_at};
-    crossing *const c = &e->crossings[*found];
-    *c = (crossing){.event = event, .to = to};
-    *found += 1;
-    return find_zero(&s, &c->theta);
+    double theta;
+    const int status = find_zero(&s, &theta);
+    return status ? status : add(e, event, theta, to, found);
 }
 
 /* ---- grazing ------------------------------------------------------------------------------- */
@@ -182,6 +244,14 @@ static int uncertainty_at(dal_events *e, size_t event, double theta, double g, d
     return status;
 }
 
+static void doubt(dal_events *e, size_t event, double t, double g)
+{
+    if (e->doubts++ > 0) return;
+    e->doubt_event = event;
+    e->doubt_t = t;
+    e->doubt_g = g;
+}
+
 /* A guard with the same sign at both ends, that falls towards zero at the beginning and rises at
  * the end: if it comes near, its least value is looked for, and what is on the other side there. */
 static int look_closely(dal_events *e, size_t event, size_t *found)
@@ -202,17 +272,13 @@ static int look_closely(dal_events *e, size_t event, size_t *found)
     if (!status) status = value_at(e, event, theta, &at);
     if (!status) status = uncertainty_at(e, event, theta, at, &error);
     if (status) return status;
-    if (fabs(at) <= error && e->doubts++ == 0) {
-        e->doubt_event = event;
-        e->doubt_t = dal__time_at(e, theta);
-        e->doubt_g = at;
-    }
+    if (fabs(at) <= error) doubt(e, event, dal__time_at(e, theta), at);
     if (s * at >= 0.0) return DAL_SUCCESS;
     status = locate(e, event, e->from, g->begin, theta, at, -s, found);
     return status ? status : locate(e, event, theta, at, 1.0, g->end, s, found);
 }
 
-/* ---- the crossings of a span --------------------------------------------------------------- */
+/* ---- after a reset -------------------------------------------------------------------------- */
 
 int dal__event_rests(dal_events *e, size_t event, const char *what, double value)
 {
@@ -242,25 +308,115 @@ static int find_after_reset(dal_events *e, size_t event, size_t *found)
     return dal__event_rests(e, event, "later g = %g", g->end);
 }
 
-int dal__find_crossings(dal_events *e, size_t *found)
+/* ---- by series ----------------------------------------------------------------------------- */
+
+/* Looks at an event in one piece of the span after the other. */
+typedef struct look {
+    dal_events *events;
+    size_t event, *found;
+    int side;         /* of zero, where the piece begins; 0: not known */
+    bool leaves_zero;
+} look;
+
+static double theta_at(const dal_events *e, double t)
 {
-    int status = DAL_SUCCESS;
-    *found = 0;
-    for (size_t i = 0; !status && e->from < 1.0 && i < e->count; i++) {
-        const guard *const g = &e->guards[i];
-        if (g->side == 0) continue;
-        if (g->due || g->jumped) e->crossings[(*found)++] = (crossing){i, e->from, -g->side};
-        else if (g->waits) status = find_after_reset(e, i, found);
-        else if (g->side * g->end <= 0.0)
-            status = locate(e, i, e->from, g->begin, 1.0, g->end, -g->side, found);
-        else status = look_closely(e, i, found);
+    return fmin(fmax((t - e->t) / e->h, e->from), 1.0);
+}
+
+static int look_at_piece(const dal__piece *piece, double from, double to, void *ctx)
+{
+    look *const self = ctx;
+    dal_events *const e = self->events;
+    dal__watch watch = {.function = e->stepper->motion.watch, .ctx = e->stepper->motion.watch_ctx};
+    const bool leaves_zero = self->leaves_zero;
+    int status = dal__along_look(e->along[self->event], piece, from, to, leaves_zero, &watch,
+                                 e->error);
+    if (status) return status;
+    const dal__found found = dal__along_found(e->along[self->event]);
+    self->leaves_zero = false;
+    if (self->side == 0) self->side = found.first;
+    if (self->side * found.first < 0) {
+        if (leaves_zero) return dal__event_rests(e, self->event, "g goes to the side %g", found.first);
+        status = add(e, self->event, theta_at(e, from), -self->side, self->found);
+        self->side *= -1;
     }
-    for (size_t k = 1; k < *found; k++) /* by time, and in the order of the list */
-        for (size_t j = k; j > 0 && e->crossings[j].theta < e->crossings[j - 1].theta; j--) {
-            const crossing later = e->crossings[j - 1];
-            e->crossings[j - 1] = e->crossings[j];
-            e->crossings[j] = later;
-        }
+    for (size_t k = 0; !status && k < found.count; k++) {
+        self->side *= -1;
+        status = add(e, self->event, theta_at(e, found.t[k]), self->side, self->found);
+    }
+    if (status || isnan(found.touch)) return status;
+    double g;
+    status = value_at(e, self->event, theta_at(e, found.touch), &g);
+    if (!status) doubt(e, self->event, found.touch, g);
     return status;
 }
 
+/* All crossings of an event by its series.  DAL_EDOMAIN if it has none here. */
+static int find_by_series(dal_events *e, size_t event, size_t *found)
+{
+    const guard *const g = &e->guards[event];
+    const double from = dal__time_at(e, e->from), to = dal__time_at(e, 1.0);
+    const size_t before = *found;
+    look here = {.events = e, .event = event, .found = found, .side = g->side,
+                 .leaves_zero = g->waits || g->side == 0};
+    dal__piece piece;
+    int status;
+    if (from == to) return DAL_SUCCESS; /* a step of any size ends at a reset */
+    if (find_piece(e, &piece)) {
+        status = look_at_piece(&piece, from, to, &here);
+    } else {
+        status = dal_stepper_start(e->probe, from, to - from, e->begin, DAL_ASSUME,
+                                   DAL_INITIAL_NONE);
+        if (!status) status = dal__taylor_visit(e->probe, to, look_at_piece, &here);
+        if (status && !e->error->status) *e->error = e->probe->error;
+    }
+    if (status || here.side * g->end > 0.0) return status;
+    const bool is_zero = fabs(g->end) <= dal__event_rounding(g);
+    if (is_zero && *found > before && e->crossings[*found - 1].theta > 1.0 - SAME_PLACE) {
+        *found -= 1; /* at the end, where g is still on the side before: the next step finds it */
+        return DAL_SUCCESS;
+    }
+    return here.side == 0 ? DAL_SUCCESS : add(e, event, 1.0, -here.side, found);
+}
+
+/* ---- the crossings of a span --------------------------------------------------------------- */
+
+/* Those of an event by its values at the ends of the span, and within it if they say so. */
+static int find_by_values(dal_events *e, size_t event, size_t *found)
+{
+    const guard *const g = &e->guards[event];
+    if (g->side == 0) return DAL_SUCCESS;
+    if (g->waits) return find_after_reset(e, event, found);
+    if (g->side * g->end > 0.0) return look_closely(e, event, found);
+    return locate(e, event, e->from, g->begin, 1.0, g->end, -g->side, found);
+}
+
+static int compare_places(const void *a, const void *b)
+{
+    const crossing *const one = a, *const other = b;
+    if (one->theta != other->theta) return one->theta < other->theta ? -1 : 1;
+    return (one->event > other->event) - (one->event < other->event);
+}
+
+int dal__find_crossings(dal_events *e, size_t *found)
+{
+    *found = 0;
+    for (size_t i = 0; e->from < 1.0 && i < e->count; i++) {
+        const guard *const g = &e->guards[i];
+        const size_t before = *found;
+        int status = DAL_EDOMAIN;
+        if (g->due || g->jumped) {
+            status = add(e, i, e->from, -g->side, found);
+        } else if (e->along[i]) {
+            status = find_by_series(e, i, found);
+            if (status == DAL_EDOMAIN) *e->error = (dal_error){0};
+        }
+        if (status == DAL_EDOMAIN) {
+            *found = before;
+            status = find_by_values(e, i, found);
+        }
+        if (status) return status;
+    }
+    if (*found > 1) qsort(e->crossings, *found, sizeof *e->crossings, compare_places);
+    return DAL_SUCCESS;
+}

@@ -3,6 +3,7 @@
 #include "run/run.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 enum { SAVED = 5 };      /* numbers of a guard */
@@ -29,29 +30,36 @@ static int allocate(dal_events **events, const dal_stepper *stepper, size_t coun
 {
     const size_t n = stepper->mech.n, m = stepper->mech.m;
     dal_events shape = {.stepper = stepper, .count = count, .n = n, .m = m}, *self;
-    double *states;
     arena a = {0};
     dal__reserve(&a, &self, 1, sizeof *self);
     dal__reserve(&a, &shape.list, count, sizeof *shape.list);
     dal__reserve(&a, &shape.guards, count, sizeof *shape.guards);
     dal__reserve(&a, &shape.before, count, sizeof *shape.before);
-    dal__reserve(&a, &shape.crossings, dal__times(2, count), sizeof *shape.crossings);
+    dal__reserve(&a, &shape.along, count, sizeof *shape.along);
     dal__reserve(&a, &shape.solver.state, 1, gsl_root_fsolver_brent->size);
     DAL__RESERVE(&a, dal_stepper_saved(stepper), &shape.saved);
     DAL__RESERVE(&a, m, &shape.impulse, &shape.whole, &shape.parts);
     DAL__RESERVE(&a, 2 * n, &shape.begin, &shape.end, &shape.x, &shape.line, &shape.last);
-    DAL__RESERVE(&a, dal__times(4 * DAL_MOST_EVENTS, n), &states);
     const int status = dal__allocate(&a, error);
     if (status) return status;
     *self = shape;
     self->arena = a;
     self->solver.type = gsl_root_fsolver_brent;
-    for (size_t k = 0; k < DAL_MOST_EVENTS; k++) {
-        self->happened[k].x = states + 4 * n * k;
-        self->happened[k].after = states + 4 * n * k + 2 * n;
-    }
     *events = self;
     return DAL_SUCCESS;
+}
+
+/* The series of events along the pieces of the motion, if the scheme has such. */
+static int make_series(dal_events *self, dal_error *error)
+{
+    const dal_series *const series = self->stepper->motion.system->def.series;
+    int status = DAL_SUCCESS;
+    for (size_t i = 0; !status && i < self->count; i++) {
+        if (!self->list[i].series || !dal__taylor_has_pieces(self->stepper)) continue;
+        status = dal__along_new(&self->along[i], &self->list[i], series, self->n, error);
+        status = dal__fail_because(error, status, error, "list[%zu].series: ", i);
+    }
+    return status;
 }
 
 int dal_events_new(dal_events **events, const dal_stepper *stepper, const dal_scheme *scheme,
@@ -71,11 +79,12 @@ int dal_events_new(dal_events **events, const dal_stepper *stepper, const dal_sc
                              &(dal_options){.max_iterations = stepper->motion.max_iterations,
                                             .keep_energy = stepper->scaling.wanted},
                              error);
+    if (count > 0) memcpy(self->list, list, count * sizeof *list);
+    if (!status) status = make_series(self, error);
     if (status) {
         dal_events_free(self);
         return status;
     }
-    if (count > 0) memcpy(self->list, list, count * sizeof *list);
     *events = self;
     return DAL_SUCCESS;
 }
@@ -83,7 +92,11 @@ int dal_events_new(dal_events **events, const dal_stepper *stepper, const dal_sc
 void dal_events_free(dal_events *events)
 {
     if (!events) return;
+    for (size_t i = 0; i < events->count; i++) dal__along_free(events->along[i]);
     dal_stepper_free(events->probe);
+    free(events->crossings);
+    free(events->happened);
+    free(events->states);
     dal__release(&events->arena);
 }
 
@@ -333,6 +346,27 @@ static int enter(dal_events *e, dal_run *run, const crossing *c, happening *now)
     return now->reset ? reset(e, c, now->after) : DAL_SUCCESS;
 }
 
+/* Room for one more thing that happens. */
+static int make_room(dal_events *e)
+{
+    const size_t N = 2 * e->n, count = e->happenings;
+    if (count == e->room_happened) {
+        const size_t room = count > 0 ? 2 * count : 16;
+        happening *const list = realloc(e->happened, dal__times(room, sizeof *list));
+        if (list) e->happened = list;
+        double *const states = realloc(e->states, dal__times(room, 2 * N * sizeof *states));
+        if (states) e->states = states;
+        if (!list || !states)
+            return dal__fail(e->error, DAL_ENOMEM, "no memory for %zu events in a step", room);
+        e->room_happened = room;
+        for (size_t k = 0; k < room; k++) {
+            e->happened[k].x = e->states + 2 * N * k;
+            e->happened[k].after = e->states + 2 * N * k + N;
+        }
+    }
+    return DAL_SUCCESS;
+}
+
 /* What happens at a crossing; *anew: in a span that begins there.  Those after it are [later]. */
 static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, bool *anew)
 {
@@ -343,17 +377,18 @@ static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, 
     g->waits = g->due = g->jumped = false;
     g->crossed = true;
     if (direction != 0 && direction != c->to) return DAL_SUCCESS;
-    if (e->happenings == DAL_MOST_EVENTS)
-        return dal__fail(e->error, DAL_EZENO, "event %zu, t = %g: %d events in one step of h = %g. "
-                         "End the run before they accumulate with a terminal event, or take a "
-                         "smaller h", c->event, dal__time_at(e, c->theta), (int)DAL_MOST_EVENTS,
-                         e->h);
+    int status = make_room(e);
+    if (status) return status;
     happening *const now = &e->happened[e->happenings++];
-    const int status = enter(e, run, c, now);
+    status = enter(e, run, c, now);
     *anew |= now->reset;
     if (status || !now->reset) return status;
-    for (size_t k = 1; k <= later; k++)
-        e->guards[c[k].event].due = c[k].theta <= c->theta + TOGETHER;
+    if (e->resets++ == DAL_MOST_RESETS)
+        return dal__fail(e->error, DAL_EZENO, "event %zu, t = %g: %d resets in one step of h = %g. "
+                         "End the run before they accumulate with a terminal event, or take a "
+                         "smaller h", c->event, now->t, (int)DAL_MOST_RESETS, e->h);
+    for (size_t k = 1; k <= later && c[k].theta <= c->theta + TOGETHER; k++)
+        if (c[k].event != c->event) e->guards[c[k].event].due = true;
     if (dal__run_varies(run)) end_step(run, now->t);
     return begin_anew(e, c, now, jumped);
 }
@@ -404,7 +439,7 @@ static int prepare(dal_events *e, dal_run *run)
     e->energy = run->stepper->scaling.energy;
     e->from = 0.0;
     e->times_done = run->times_done;
-    e->happenings = e->unscaled = 0;
+    e->happenings = e->resets = e->unscaled = 0;
     e->landed = false;
     memset(e->parts, 0, e->m * sizeof *e->parts);
     move(e, -e->shift, motion->x, e->begin);

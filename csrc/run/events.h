@@ -7,11 +7,13 @@
 #define DAL__EVENTS_H
 
 #include "dalembert/events.h"
+#include "step/along.h"
 #include "step/stepper.h"
+#include "step/taylor.h"
 
 #include <gsl/gsl_roots.h>
 
-enum { DAL_MOST_EVENTS = 100 }; /* within a step */
+enum { DAL_MOST_RESETS = 100 }; /* within a step */
 
 typedef struct guard {
     int side;        /* of zero that g is on: 1 or -1; 0: on zero */
@@ -51,9 +53,12 @@ struct dal_events {
     double energy;              /* that the span keeps, if the steps do; how often the probe */
     size_t lost, unscaled;      /* could not: in its last step; in states that were taken from it */
     double *whole, *parts;      /* [m] the impulse of the span; the sum of those before it */
-    crossing *crossings;        /* [2 count] */
-    happening happened[DAL_MOST_EVENTS];
-    size_t happenings;          /* in this step */
+    dal__along **along;         /* [count] the series of events, or NULL */
+    crossing *crossings;        /* [room] */
+    size_t room;
+    happening *happened;        /* [room_happened] in this step */
+    size_t happenings, room_happened, resets;
+    double *states;             /* [room_happened*4n] those before and after */
     size_t step;                /* steps before it */
     size_t times_done;          /* of the run */
     bool landed;                /* a reset has led the step elsewhere */

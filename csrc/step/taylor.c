@@ -5,6 +5,7 @@
  * not add up.  Pieces begin and end at times that are doubles. */
 #include "dalembert/series.h"
 #include "geometry/geometry.h"
+#include "step/coefficients.h"
 #include "step/scheme.h"
 #include "step/taylor.h"
 
@@ -38,18 +39,10 @@ static size_t order_for(double size)
     return order < LEAST ? LEAST : order > MOST ? MOST : (size_t)order;
 }
 
-/* Of the length at which the last coefficients have the size that is allowed. */
-static const double SAFETY = 0.96;
-
 /* Each piece is examined at its end: whether its polynomial solves the ODE there.  Series do not
  * see beyond a branch point where a function is finite, nor pulses as those of cos(t)^100.  Systems
  * that have such are examined at so many places inside each piece too. */
 enum { INSIDE = 15 };
-
-/* Nor do series see an exponential that is far below the last digit where they begin and large
- * later, as exp(-1000 x), or a narrow hill exp(-1000 x^2).  So its argument grows by at most RISE
- * in a piece, but from values where it is 0 in floating point to FAINT. */
-static const double RISE = 20.0, FAINT = -700.0;
 
 /* A piece is at least 1/FAR of the unit of its coefficients; if not, the unit becomes smaller. */
 enum { FAR = 64 };
@@ -96,12 +89,13 @@ typedef struct taylor {
     double *row, *row_low;   /* [width] the same at the state that was given last */
     double *change, *slope;  /* [width] */
     double *from, *from_low; /* [width] */
+    double *some, *some_low; /* [width] of a state that is asked for */
     double *x, row_t;        /* [2n] that state, and its time */
     double *input;           /* [inputs] of the piece */
     double *side, *crossed;  /* [switches] of series.h; the order of their zeros at t, 0 for none */
     double *none;            /* [switches] zeros */
     size_t switched;         /* the switch at which the piece ends, or the number of switches */
-    double *coefficients, *next, *work; /* aligned to ALIGNED */
+    double *coefficients, *next, *work; /* aligned */
     double *saved;           /* the state before several motions were led on */
     double *probe;           /* [5n] */
     bool going;              /* the piece leads on from x, */
@@ -111,7 +105,7 @@ typedef struct taylor {
     arena arena;
 } taylor;
 
-enum { ALIGNED = 64, FOUR = 4 }; /* FOUR: motions of expand_four */
+enum { FOUR = 4 }; /* motions of expand_four */
 
 /* ---- saved states ------------------------------------------------------------------------ */
 
@@ -171,12 +165,6 @@ static void restore(void *method, const double *values)
 
 /* ---- making ------------------------------------------------------------------------------ */
 
-static double *aligned(double *block)
-{
-    const uintptr_t at = (uintptr_t)block;
-    return block + (ALIGNED - at % ALIGNED) % ALIGNED / sizeof(double);
-}
-
 static int make(void **method, dal_motion *motion, dal_error *error)
 {
     const dal_taylor_scheme none = {0}, *const data = motion->scheme->data;
@@ -202,11 +190,11 @@ static int make(void **method, dal_motion *motion, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "series: number %u, expected %u; compile the system "
                          "with this version of series.h", series->abi, DAL_SERIES_ABI);
     if (shape.tolerance < EXACT_BELOW) shape.exact = EXACT;
-    const size_t spare = ALIGNED / sizeof(double), rows = shape.order + 1;
+    const size_t spare = DAL_COEFFICIENTS_SPARE, rows = shape.order + 1;
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     DAL__RESERVE(&memory, shape.width, &shape.y, &shape.low, &shape.row, &shape.row_low,
-                 &shape.from, &shape.from_low);
+                 &shape.from, &shape.from_low, &shape.some, &shape.some_low);
     DAL__RESERVE(&memory, shape.width + spare, &shape.change, &shape.slope);
     DAL__RESERVE(&memory, 2 * def->n, &shape.x);
     DAL__RESERVE(&memory, 5 * def->n, &shape.probe);
@@ -221,11 +209,11 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     *self = shape;
     self->arena = memory;
     motion->guards->allowed = PER_TOLERANCE * tolerance;
-    self->change = aligned(self->change);
-    self->slope = aligned(self->slope);
-    self->coefficients = aligned(self->coefficients);
-    self->next = aligned(self->next);
-    self->work = aligned(self->work);
+    self->change = dal__aligned(self->change);
+    self->slope = dal__aligned(self->slope);
+    self->coefficients = dal__aligned(self->coefficients);
+    self->next = dal__aligned(self->next);
+    self->work = dal__aligned(self->work);
     *method = self;
     return DAL_SUCCESS;
 }
@@ -245,28 +233,23 @@ static void start(void *method, dal_motion *motion)
     self->pieces = 0;
 }
 
-/* ---- compensated sums -------------------------------------------------------------------- */
+/* ---- a piece ----------------------------------------------------------------------------- */
 
-/* The sum of a, its low part and b, with its own low part. */
-static double add(double a, double *low, double b)
+static dal__piece piece_of(const taylor *self)
 {
-    const double part = b + *low, sum = a + part, back = sum - a;
-    *low = (a - (sum - back)) + (part - back);
-    return sum;
+    return (dal__piece){.series = self->series, .order = self->order, .t = self->t,
+                        .end = self->end, .unit = self->unit,
+                        .log_tolerance = self->log_tolerance, .y = self->y, .low = self->low,
+                        .coefficients = self->coefficients, .input = self->input};
 }
 
 /* The state at s units of the piece: y[width] and its low part. */
 static void state_at(taylor *self, double s, double *y, double *low)
 {
-    self->series->sum(self->order, s, self->coefficients, self->change);
-    for (size_t i = 0; i < self->states; i++) {
-        double rest = self->low[i];
-        y[i] = add(self->y[i], &rest, self->change[i]);
-        low[i] = rest;
-    }
+    const dal__piece piece = piece_of(self);
+    dal__numbers_at(&piece, s, y, low, self->change);
 }
 
-/* ---- a piece ----------------------------------------------------------------------------- */
 
 /* The coefficients of a state up to an order. */
 static void expand(taylor *self, const dal_motion *motion, double t, double unit, const double *y,
@@ -293,48 +276,12 @@ static void expand_here(taylor *self, const dal_motion *motion)
     }
 }
 
-/* log2 x for a normal x > 0, between powers of 2 by a straight line, so at most 0.09 too small; 2^x
- * to 0.3 %.  Of a root of high order this is exact enough, and takes a tenth of the time. */
-static double quick_log2(double x)
-{
-    uint64_t bits;
-    memcpy(&bits, &x, sizeof bits);
-    return (double)bits * 0x1p-52 - 1023.0;
-}
-
-static double quick_exp2(double x)
-{
-    if (!(fabs(x) < 1000.0)) return exp2(x);
-    const double whole = floor(x), part = x - whole;
-    const uint64_t bits = (uint64_t)(whole + 1023.0) << 52;
-    double power;
-    memcpy(&power, &bits, sizeof power);
-    return power * (1.0 + part * (0.6565 + part * 0.3435));
-}
-
-/* How long the piece may be, in units.  Each of the last coefficients tells a radius of
- * convergence, the least of which holds; a step is that part of it of which the power order - 1 is
- * the tolerance.  Infinite if the last coefficients are 0, and NaN if one is not finite. */
+/* How long the piece may be, in units. */
 static double allowed_units(const taylor *self)
 {
-    double decay[DAL_SERIES_LAST], least = HUGE_VAL;
+    double decay[DAL_SERIES_LAST];
     self->series->decay(self->order, self->coefficients, decay);
-    for (size_t l = 0; l < DAL_SERIES_LAST; l++) {
-        if (!(decay[l] <= DBL_MAX)) return (double)NAN;
-        if (decay[l] < DBL_MIN) continue;
-        const double radius = -quick_log2(decay[l]) / (double)(self->order - DAL_SERIES_LAST + l);
-        if (radius < least) least = radius;
-    }
-    const double share = self->log_tolerance / (double)(self->order - 1);
-    return least < HUGE_VAL ? SAFETY * quick_exp2(least + share) : least;
-}
-
-/* The power of 2 next to a positive number. */
-static double power_of_2(double x)
-{
-    int exponent;
-    (void)frexp(x, &exponent);
-    return ldexp(1.0, exponent);
+    return dal__units_of(decay, self->order, self->log_tolerance);
 }
 
 /* After t there is no piece, however short. */
@@ -380,7 +327,7 @@ static int expand_piece(taylor *self, dal_motion *motion, double *units)
         expand_here(self, motion);
         *units = allowed_units(self);
         if (*units >= 1.0 / FAR) return DAL_SUCCESS; /* long pieces grow one after the other */
-        const double factor = isnan(*units) ? 0x1p-32 : power_of_2(*units);
+        const double factor = isnan(*units) ? 0x1p-32 : dal__power_of_2(*units);
         const double unit = self->unit * factor;
         if (!(unit > DBL_MIN && unit < DBL_MAX)) break;
         self->unit = unit;
@@ -429,78 +376,20 @@ static int expand_on_sides(taylor *self, dal_motion *motion, double *units)
     return DAL_SUCCESS;
 }
 
-/* A series whose first change of sign is wanted: its sign now, its value where the piece begins,
- * and its coefficients by the distance from there.  A zero at the beginning is divided out. */
-typedef struct sign_change {
-    const double *g;
-    size_t count, next;
-    double side, direction, begin;
-} sign_change;
-
-static double value_at(const sign_change *of, double r, double *slope)
+static dal__columns columns_of(const taylor *self, double direction)
 {
-    double sum = 0.0, rate = 0.0;
-    for (size_t k = of->count; k-- > 1;) {
-        rate = rate * r + sum;
-        sum = sum * r + (k % 2 == 0 ? 1.0 : of->direction) * of->g[k * of->next];
-    }
-    *slope = of->side * (rate * r + sum);
-    return of->side * (sum * r + of->begin);
-}
-
-/* How fast it may change up to r, at most. */
-static double steepest(const sign_change *of, double r)
-{
-    double sum = 0.0;
-    for (size_t k = of->count; k-- > 1;)
-        sum = sum * r + (double)k * fabs(of->g[k * of->next]);
-    return sum;
-}
-
-/* The first distance up to end at which the sign changes; end if it does not.  No step from a value
- * v is longer than v over the steepest slope, so no change is missed but between two that are
- * closer together than a FINEST part of the piece. */
-static double first_change(const sign_change *of, double end)
-{
-    static const double FINEST = 1e-7;
-    const double steep = steepest(of, end);
-    double r = 0.0, slope, value = value_at(of, r, &slope);
-    if (!(value > 0.0)) return 0.0;
-    while (r < end) {
-        double low = r, high = fmin(end, r + fmax(value / steep, FINEST * end));
-        const double guess = slope < 0.0 ? r - 2.0 * value / slope : end;
-        double beyond = value_at(of, high, &slope);
-        if (beyond > 0.0 && guess > high && guess - r <= 4.0 * (high - r)) {
-            double steeper;
-            const double there = value_at(of, fmin(guess, end), &steeper);
-            if (!(there > 0.0)) low = high, high = fmin(guess, end), beyond = there;
-        }
-        if (!(beyond > 0.0)) {
-            for (;;) {
-                const double middle = low + 0.5 * (high - low);
-                if (middle <= low || middle >= high) return high;
-                if (value_at(of, middle, &slope) > 0.0) low = middle;
-                else high = middle;
-            }
-        }
-        value = beyond;
-        r = high;
-    }
-    return end;
+    return (dal__columns){.first = self->coefficients, .next = self->width, .order = self->order,
+                          .direction = direction};
 }
 
 /* Shortens the piece, of so many units, to the first change of a switch. */
 static double until_switch(taylor *self, double direction, double units)
 {
+    const dal__columns of = columns_of(self, direction);
     self->switched = self->series->switches;
     for (size_t i = 0; i < self->series->switches; i++) {
-        const size_t zeros = (size_t)self->crossed[i];
-        const double *const g = switch_at(self, i) + zeros * self->width;
-        const sign_change of = {.g = g, .count = self->order - zeros, .next = self->width,
-                                .side = self->side[i] * (zeros % 2 == 0 ? 1.0 : direction),
-                                .direction = direction, .begin = *g};
-        if (self->side[i] == 0.0) continue;
-        const double change = first_change(&of, units);
+        const double change = dal__until_change(&of, self->states + i, self->side[i],
+                                                (size_t)self->crossed[i], units);
         if (change < units) self->switched = i, units = change;
     }
     return units;
@@ -509,13 +398,10 @@ static double until_switch(taylor *self, double direction, double units)
 /* Shortens the piece to where the argument of an exponential has grown too much. */
 static double until_rise(const taylor *self, double direction, double units)
 {
-    for (size_t i = 0; i < self->series->exponents; i++) {
-        const double *const a = switch_at(self, self->series->switches + i);
-        const double room = fmax(RISE, FAINT - *a);
-        const sign_change of = {.g = a, .count = self->order, .next = self->width, .side = -1.0,
-                                .direction = direction, .begin = -room};
-        if (steepest(&of, units) * units > room) units = first_change(&of, units);
-    }
+    const dal__columns of = columns_of(self, direction);
+    const size_t first = self->states + self->series->switches;
+    for (size_t i = 0; i < self->series->exponents; i++)
+        units = dal__until_rise(&of, first + i, units);
     return units;
 }
 
@@ -591,7 +477,7 @@ static bool solves_inside(taylor *self, const dal_motion *motion)
 static double unit_after(const taylor *self, double length)
 {
     const double relative = length / self->unit;
-    return relative < 0.25 || relative >= 2.0 ? power_of_2(length) : self->unit;
+    return relative < 0.25 || relative >= 2.0 ? dal__power_of_2(length) : self->unit;
 }
 
 /* The same inside and at its end, where the next piece begins; the piece has room for a length. */
@@ -844,7 +730,7 @@ static int begin(taylor *self, dal_motion *motion, double t)
     self->t = self->row_t = t;
     self->last_length = self->next_unit = 0.0;
     for (size_t i = 0; i < self->series->switches; i++) self->side[i] = self->crossed[i] = 0.0;
-    if (self->unit == 0.0) self->unit = power_of_2(fabs(motion->h));
+    if (self->unit == 0.0) self->unit = dal__power_of_2(fabs(motion->h));
     memcpy(self->x, motion->x, 2 * n * sizeof(double));
     memcpy(self->row, self->y, size);
     memcpy(self->row_low, self->low, size);
@@ -924,6 +810,54 @@ int dal_system_has_series(const dal_system *system)
 {
     const dal_series *const series = system->def.series;
     return !series ? 0 : series->expand_four ? 2 : 1;
+}
+
+/* ---- pieces ------------------------------------------------------------------------------ */
+
+bool dal__taylor_has_pieces(const dal_stepper *stepper)
+{
+    return stepper->family == &dal__family_taylor;
+}
+
+static dal__piece piece_with(const taylor *self, const dal_motion *motion)
+{
+    dal__piece piece = piece_of(self);
+    piece.parameters = motion->system->def.ctx;
+    return piece;
+}
+
+bool dal__taylor_piece(const dal_stepper *stepper, double from, dal__piece *piece)
+{
+    const taylor *const self = stepper->method;
+    if (!dal__taylor_has_pieces(stepper) || !self->going || self->stale) return false;
+    *piece = piece_with(self, &stepper->motion);
+    return direction_of(&stepper->motion) * (from - self->t) >= 0.0;
+}
+
+int dal__taylor_state(dal_stepper *stepper, const dal__piece *piece, double t, double *x)
+{
+    taylor *const self = stepper->method;
+    if (self->inputs > 0) memcpy(self->input, piece->input, self->inputs * sizeof(double));
+    dal__numbers_at(piece, (t - piece->t) / piece->unit, self->some, self->some_low, self->change);
+    return find_state(self, &stepper->motion, t, self->some, x);
+}
+
+int dal__taylor_visit(dal_stepper *stepper, double until, dal__visit_fn visit, void *ctx)
+{
+    taylor *const self = stepper->method;
+    dal_motion *const motion = &stepper->motion;
+    double from = time_of(motion, 0);
+    int status = follow(self, motion, from);
+    while (!status) {
+        const dal__piece piece = piece_with(self, motion);
+        const bool is_last = has_reached(self, motion, until);
+        status = visit(&piece, from, is_last ? until : piece.end, ctx);
+        if (status || is_last) break;
+        from = piece.end;
+        status = next_piece(self, motion, until);
+    }
+    self->going = false;
+    return status;
 }
 
 /* ---- several motions ---------------------------------------------------------------------- */

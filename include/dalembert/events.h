@@ -15,6 +15,8 @@ DAL_BEGIN_DECLARATIONS
 /* <cdef> */
 /* ---- events ---------------------------------------------------------------------------- */
 
+struct dal_event_series; /* dalembert/series.h */
+
 /* *g <- g(t, q, v) at x[2n].  The return value is that of a callback of a system. */
 typedef int (*dal_event_fn)(double t, const double *x, double *g, void *ctx);
 
@@ -48,6 +50,8 @@ typedef struct dal_event {
     dal_consistency consistency; /* whether the state of reset is checked, projected, or used
                                     unchanged */
     void *ctx, *reset_ctx; /* contexts of g and of reset */
+    const struct dal_event_series *series; /* of g alone, compiled for the system of the run; or
+                                              NULL.  The scheme taylor finds all zeros by it */
 } dal_event;
 
 /* The events of a run, and their state during the run.  A sign change of g from the beginning to

@@ -67,6 +67,22 @@ typedef struct dal_series {
     void (*quasi)(double t, const double *x, const double *u, double *w, const void *p);
 } dal_series;
 
+/* The series of event functions along the motions of a system.  Those of a function that has not
+ * been compiled for it are not known, and its values are compared instead. */
+typedef struct dal_event_series {
+    unsigned abi;     /* DAL_SERIES_ABI */
+    size_t states;    /* of the series of the system */
+    size_t functions; /* in the first columns */
+    size_t switches, exponents, width, room; /* as above, in the columns that follow */
+    int is_doubtful;
+    /* Y[(order + 1)*width] <- the coefficients, from those of the states in rows of y_width; at has
+     * the values of the states, with low parts.  work[(order + 1)*room].  The pointer p is the
+     * context of the event.  All are aligned to 64. */
+    void (*expand)(const dal_series_at *at, size_t order, const double *states, size_t y_width,
+                   double *Y, double *work, const void *p);
+    void (*decay)(size_t order, const double *Y, double *decay);
+} dal_event_series;
+
 #ifdef __GNUC__
 typedef double dal_four __attribute__((vector_size(32), may_alias));
 

@@ -382,6 +382,12 @@ class Library:
         """Return whether there is a function ``dal_model_NAME`` of the parameters."""
         return hasattr(self._loaded, f"dal_model_{name}")
 
+    def address(self, name: str) -> int:
+        """Return the address of the data ``dal_model_NAME``, 0 if there are none."""
+        if not hasattr(self._loaded, f"dal_model_{name}"):
+            return 0
+        return ctypes.addressof(ctypes.c_char.in_dll(self._loaded, f"dal_model_{name}"))
+
     def evaluate(self, name: str, parameters: core.Array, output: core.Array) -> None:
         """Call ``dal_model_NAME(output, parameters)``."""
         function = getattr(self._loaded, f"dal_model_{name}")

@@ -18,7 +18,7 @@ from ..run import Solution, integrate
 from ..run import events
 from ..run.events import CONSISTENCY
 from ..run.integration import SHORT, doubts, quietly
-from ..run.laws import values
+from ..run.laws import series
 from ..run.options import in_c
 from ..run.runs import OFF_D
 from ..run.steps import Steps, how
@@ -286,9 +286,10 @@ def _events(common: Common) -> tuple[Any, Any, list[Any]]:
     found = ffi.new("dal_event[]", max(1, len(common.events)))
     resets = ffi.new("dal_law[]", max(1, len(common.events)))
     alive = []
+    of = events.along(common.system, common.options.scheme)
     for k, one in enumerate(common.events):
         g, reset = events.laws(common.system, one, f"events[{k}]")
-        found[k].g, _, kept = values(common.system, g)
+        found[k].g, _, kept, found[k].series = series(common.system, g, of)
         if reset is not None:
             law, kept_law = reset.in_c(common.system)
             resets[k] = law[0]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from .. import core
 from ..core import Array, arguments, ffi, lib
 from ..system import System
-from .laws import Law, are_compiled, is_expression, reset_of, values
+from .laws import Law, are_compiled, is_expression, reset_of, series
 from .scheme import Scheme
 
 CONSISTENCY = {"check": lib.DAL_CHECK, "project": lib.DAL_PROJECT, "assume": lib.DAL_ASSUME}
@@ -120,6 +120,11 @@ def laws(system: System, one: Event, name: str) -> tuple[Any, Law | None]:
     return g, reset_of(system, one.reset, name) if is_mapping else None
 
 
+def along(system: System, scheme: Scheme) -> Any:
+    """Return the model along whose motions events have series, None for other schemes."""
+    return scheme._stepped(system)._model if scheme.family == "taylor" else None
+
+
 def is_in_c(system: System, one: Event, name: str = "event") -> bool:
     """Return whether C detects an event and resets the state without Python."""
     g, reset = laws(system, one, name)
@@ -144,8 +149,10 @@ class Watch:
         self.at = None if times is None else np.empty((len(times), 2 * system.n))
         rows = ffi.new("dal_event[]", max(len(events), 1))
         self._kept: list[Any] = []
+        of = along(system, scheme)
+        self._advice = "" if of else "; take a smaller h"
         for k, one in enumerate(events):
-            self._fill(system, rows[k], one, f"events[{k}]")
+            self._fill(system, rows[k], one, f"events[{k}]", of)
         record, kept = scheme._record_of(system)
         self._kept.append(kept)
         self.handle = core.make(
@@ -157,8 +164,8 @@ class Watch:
             self.context = ffi.new_handle(listener)
             self._kept.append(listener)
 
-    def _fill(self, system: System, row: Any, one: Event, name: str) -> None:
-        """Write the event for C."""
+    def _fill(self, system: System, row: Any, one: Event, name: str, of: Any) -> None:
+        """Write the event for C, with series along motions of a model."""
         row.direction = int(np.sign(one.direction))
         row.terminal = int(one.terminal)
         row.consistency = CONSISTENCY[one.consistent]
@@ -168,7 +175,7 @@ class Watch:
         self._kept += [callables, context]
         row.g, row.ctx = lib.dal_py_event, context
         if g is not None:
-            row.g, row.ctx, kept = values(system, g)
+            row.g, row.ctx, kept, row.series = series(system, g, of)
             self._kept.append(kept)
         if reset is not None:
             law, kept = reset.in_c(system)
@@ -199,7 +206,7 @@ class Watch:
             yield (
                 f"events[{int(number[0])}] comes close to zero within a step, {often}, first "
                 f"at t = {t[0]:g} with g = {g[0]:.3g}. The error of the step is larger, so "
-                "the run cannot decide whether the event happens; take a smaller h"
+                f"the run cannot decide whether the event happens{self._advice}"
             )
 
 

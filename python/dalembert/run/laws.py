@@ -21,13 +21,21 @@ def is_expression(value: Any) -> bool:
 
 
 @functools.lru_cache(maxsize=64)
-def _made(system: System, expressions: Named) -> tuple[Any, Any, Any]:
-    return event.function(system, expressions)
+def _made(system: System, expressions: Named, of: Any = None) -> tuple[Any, Any, Any]:
+    return event.function(system, expressions, of)
 
 
-def values(system: System, expressions: Named) -> tuple[Any, Any, Any]:
+def series(system: System, expressions: Named, of: Any) -> tuple[Any, Any, Any, Any]:
+    """Return what `values` does, and a ``dal_event_series *`` along motions of a model, or NULL."""
+    made = values(system, expressions, of)
+    _, kept, function = _made(system, expressions, of)
+    address = 0 if function is not None or of is None else kept[2].address("along")
+    return *made, ffi.cast("struct dal_event_series *", address)
+
+
+def values(system: System, expressions: Named, of: Any = None) -> tuple[Any, Any, Any]:
     """Return a ``dal_invariant_fn`` of expressions, its context, and the objects to keep alive."""
-    address, kept, function = _made(system, expressions)
+    address, kept, function = _made(system, expressions, of)
     if function is None:
         return ffi.cast("dal_invariant_fn", address), kept[0], kept
     callables = core.Callables(system.n, system.m, law=function, values=(len(expressions),))

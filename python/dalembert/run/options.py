@@ -27,7 +27,7 @@ from .scheme import INITIAL, METHODS, Scheme
 
 WORDS = ("auto", "reversible", "own")  # what h may be instead of a number
 TOLERANCE = 1e-9  # of "auto"
-_PARTS = 16  # of an own step, in runs with events
+_PARTS = 16  # of an own step, in runs with events that are functions
 JOURNAL_ERRORS = {"warn": 1, "stop": 0}
 
 
@@ -199,7 +199,8 @@ class Options(RunRecord):
         if not isinstance(given.h, str):
             return {}
         if given.h == "own":  # the tolerance belongs to the scheme
-            is_long = given.scheme.family == "taylor" and vars(self).get("events")
+            values = [one for one in vars(self).get("events", ()) if not events.is_expression(one.g)]
+            is_long = given.scheme.family == "taylor" and values
             return {"h": given.h, "parts": _PARTS} if is_long else {"h": given.h}
         numbers = {name: getattr(given, name) for name in ("tolerance", "h_max", "eps")}
         return {"h": given.h, **{name: x for name, x in numbers.items() if x is not None}}
@@ -253,8 +254,8 @@ class Size:
         Step size; negative to integrate backwards.  A number is never changed.
 
         "own", the default: steps of the scheme's own size, for "taylor" and "reference".  Each step
-        is stored, or every stride-th, or the states at t_eval.  With events a step is made in 16
-        parts if the scheme is "taylor", because such a step may be half an oscillation.
+        is stored, or every stride-th, or the states at t_eval.  With events that are functions, not
+        expressions, a step of "taylor" is made in 16 parts, because it may be half an oscillation.
 
         "auto": each step is as long as ``tolerance`` allows.  The estimate of its error costs no
         evaluation.  Requires a composition of moved nodes.  Use it if the time scale of the motion

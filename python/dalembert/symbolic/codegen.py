@@ -13,7 +13,7 @@ from typing import Any
 
 from .constructor import constructor
 from .derive import Function
-from .expansion import expansion
+from .expansion import along, expansion
 from .graph import Node, below
 from .model import Model
 from .motion import motion
@@ -86,7 +86,7 @@ def is_compact(model: Model) -> bool:
 
 def program(
     model: Model, name: str | None = None, system: Any = None, compact: bool | None = None,
-    part: str = "",
+    part: str = "", of: Model | None = None,
 ) -> Program:  # fmt: skip
     """Return the program of a model.
 
@@ -105,6 +105,8 @@ def program(
         `has_steps`.  "lanes": also one for several members at once, see `has_lanes`.  "series": the
         Taylor series.  "four series": also those of four members at once.  A constructor has steps
         and series.
+    of : Model, optional
+        Another model, along whose motions the invariants get Taylor series.
     """
     lanes, series = part == "lanes", part in ("series", "four series") or name is not None
     made, body = Program(), Program()
@@ -116,7 +118,8 @@ def program(
         " * constraints.  Compile with -ffp-contract=off: then all compilations of the step\n"
         " * routine give the same bits. */\n"
         "#include <dalembert.h>" + "\n#include <dalembert/kernel.h>" * fast
-        + "\n#include <dalembert/lanes.h>" * lanes + "\n#include <dalembert/series.h>" * series
+        + "\n#include <dalembert/lanes.h>" * lanes
+        + "\n#include <dalembert/series.h>" * (series or of is not None)
         + "\n#include <math.h>\n#include <stddef.h>\n"
     )  # fmt: skip
     own_field = fast and model.n <= MOST  # in large models it would gain nothing
@@ -138,6 +141,8 @@ def program(
         _compiled(body, model, lanes)
     if series:
         expansion(body, model, motion(model), part == "four series")
+    if of is not None:
+        along(body, of, motion(of), [of.derived.read(e) for e in model.invariants])
     if any("MODEL_CUT" in line for line in body.lines):
         made.add(_CUT)
     for helper, rest in _HELPERS.items():

@@ -41,18 +41,19 @@ def _generator() -> str:
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 
 
-def library(model: Model, part: str = "") -> Library | None:
+def library(model: Model, part: str = "", of: Model | None = None) -> Library | None:
     """Return the compiled model; None if there is no compiler.
 
-    The library for a part, see `codegen.program`, is another one.
+    The library for a part, or along the motions ``of`` a model, is another one: see
+    `codegen.program`.
     """
     if part == "lanes" and not codegen.has_lanes(model):
         part = ""
 
     def program() -> str:
-        return codegen.program(model, part=part).source
+        return codegen.program(model, part=part, of=of).source
 
-    versions = f"sympy {sympy.__version__}, {_generator()} {part}"
+    versions = f"sympy {sympy.__version__}, {_generator()} {part}{of.key if of else ''}"
     return compiler.library(model.key, versions, program, part == "lanes")
 
 

@@ -20,19 +20,20 @@ Expr = Any
 
 
 def function(
-    system: Handle, expressions: Sequence[tuple[str, Expr]]
+    system: Handle, expressions: Sequence[tuple[str, Expr]], of: Model | None = None
 ) -> tuple[Any, Any, Function | None]:
     """Return expressions of (t, q, v) and the parameters of a system as one C function.
 
     Each has a name for messages.  Symbols denote coordinates, velocities and parameters by name;
-    dynamicsymbols and their derivatives do too.
+    dynamicsymbols and their derivatives do too.  With the model ``of`` the system there are Taylor
+    series along its motions.
 
     Returns
     -------
     address : cdata
         Address of a C function of type ``dal_invariant_fn``; NULL without a compiler.
-    kept : object
-        The context of the function; has to be kept alive.
+    kept : tuple
+        The context of the function, its parameters, and its library; has to be kept alive.
     python : callable or None
         Without a compiler: a function that returns the values at (t, q, v) as a list.
 
@@ -50,7 +51,7 @@ def function(
     """
     found = model(system, expressions)
     values = np.array(list(system.parameters.values()), dtype=float)
-    library = evaluation.library(found)
+    library = evaluation.library(found, of=of)
     if library is not None:
         context = pointer(values) if values.size else ffi.NULL
         return library.definition.invariant, (context, values, library), None

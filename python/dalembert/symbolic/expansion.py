@@ -39,7 +39,7 @@ class Writer:
         self._low: dict[Node, str | None] = {}
         self._late: dict[Node, int] = {}  # how many operations of an order come before
         for e in series.nodes:
-            is_known = series.degree[e] < ENDLESS or e in series.states
+            is_known = series.degree[e] < ENDLESS or e in series.states or not e.args
             self._late[e] = 0 if is_known else 1 + max(self._late[a] for a in e.args)
 
     def lines(self) -> list[str]:
@@ -57,9 +57,11 @@ class Writer:
         found += self._row("0", [self.zeroth(x) for x in self._columns()])
         found += [f"{self.type} d{i} = {self.zeroth(rate)};"
                   for i, rate in enumerate(series.states.values())]  # fmt: skip
-        found.append("for (size_t k = 1; k < order; k++) {")
+        found.append(f"for (size_t k = 1; k <{'=' * (not states)} order; k++) {{")
         found += [f"    {line}" for line in self._loop()]
         found.append("}")
+        if not states:
+            return _used(found)
         last = "d{0} * (unit / (double)order)"
         found += self._row("order", [last.format(i) for i in range(len(states))])
         return _used(found)
@@ -81,7 +83,8 @@ class Writer:
 
     def _columns(self) -> list[Node]:
         """Return the series whose coefficients are given to the caller."""
-        return [*self.series.states, *self.series.switches, *self.series.exponents]
+        series = self.series
+        return [*series.states, *series.functions, *series.switches, *series.exponents]
 
     def _before(self) -> list[Node]:
         """Return the series whose coefficient of the order before is needed."""
@@ -281,8 +284,10 @@ class Writer:
             if series.degree[x] > 0:
                 text = f"DAL_SERIES_OVER(d{i}, exact, divisor, factor)"
                 found.append(f"const {self.type} c{self._number[x]} = {text};")
+        for i, x in enumerate(series.given):
+            found.append(f"const double c{self._number[x]} = states[k * y_width + {i}];")
         for e in series.nodes:
-            if series.degree[e] > 0 and e not in series.states:
+            if series.degree[e] > 0 and e not in series.states and e not in series.given:
                 is_linear = series.degree[e] == 1
                 one = f"k == 1 ? f{self._number[e]} : {self.zero}"
                 text = one if is_linear else self._order(e)
@@ -463,6 +468,32 @@ def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
     )
 
 
+def along(made: Program, model: Model, motion: Motion, functions: Sequence[Node]) -> None:
+    """Write the series of functions of the state along motions, as a ``dal_event_series``."""
+    read = model.derived.read
+    q, v, p = ([read(x) for x in part] for part in (model.q, model.v, model.p))
+    time, y = read(TIME), [*q, *motion.w]
+    graph = time.graph
+    functions = graph.replaced(functions, dict(zip(v, motion.velocity)))
+    series = Series({}, time, y, functions)
+    of = {"p": p, "u": [read(x) for x in model.u], "y": y}
+    writer = Writer(series, *_places(of, time, "p[{}]", "at->{}"), False)
+    made.add("#ifdef __GNUC__")
+    made.add(_EXPAND_ALONG + "    dal_four *const A = (dal_four *)work, "
+             f"*const B = A + (order + 1) * {writer.vectors};\n" * bool(writer.vectors)
+             + "    const double *const p = parameters, unit = at->unit;\n"
+             "    (void)p, (void)work, (void)unit, (void)states, (void)y_width;")  # fmt: skip
+    made.lines += [f"    {line}" for line in writer.lines()]
+    made.add("}\n")
+    made.add(_DECAY.format(width=writer.width))
+    sizes = (len(y), len(functions), len(series.switches), len(series.exponents), writer.width,
+             8 * writer.vectors, int(series.is_doubtful))  # fmt: skip
+    made.add(
+        "DAL_API const dal_event_series dal_model_along = {\n"
+        f"    DAL_SERIES_ABI, {', '.join(map(str, sizes))}, model_along, model_decay}};\n#endif\n"
+    )
+
+
 def _places(
     of: Mapping[str, Sequence[Node]], time: Node, parameter: str, number: str
 ) -> tuple[dict[str, str], dict[str, str]]:
@@ -497,11 +528,18 @@ _EXPAND_FOUR = """static void model_expand_four(const dal_series_at *const *at, 
     (void)p, (void)work, (void)zero;
 """
 
-_SUMS = """static void model_decay(size_t order, const double *Y, double *decay)
+_EXPAND_ALONG = """static void model_along(const dal_series_at *at, size_t order, const double *states,
+                        size_t y_width, double *Y, double *work, const void *parameters)
+{
+"""
+
+_DECAY = """static void model_decay(size_t order, const double *Y, double *decay)
 {{
     dal_series_decay({width}, order, Y, decay);
 }}
+"""
 
+_SUMS = _DECAY + """
 static void model_sum(size_t order, double s, const double *Y, double *change)
 {{
     dal_series_sum({width}, order, s, Y, change);

@@ -152,7 +152,7 @@ def _power(graph: Graph, x: Node, exponent: int | Fraction) -> Node:
 
 
 class Series:
-    """The recurrences of the rates of some states.
+    """The recurrences of the rates of some states, or of functions of given series.
 
     Parameters
     ----------
@@ -160,11 +160,15 @@ class Series:
         The rate of each state; both belong to one graph.
     time : Node
         The symbol of the time.
+    given : sequence of Node, optional
+        Symbols whose coefficients are given.
+    functions : sequence of Node, optional
+        Nodes whose coefficients are wanted.
 
     Attributes
     ----------
-    states : dict of Node to Node
-        The rates, in a graph of operations with recurrences.
+    states, given, functions : dict of Node to Node, list of Node, list of Node
+        The same in a graph of operations with recurrences.
     nodes : list of Node
         All operations and symbols, arguments first.
     degree : dict of Node to int
@@ -181,19 +185,25 @@ class Series:
         or another branch.
     """
 
-    def __init__(self, states: Mapping[Node, Node], time: Node) -> None:
-        changing = mask_of([*states, time])
-        prepared = iter(_prepared([*states, *states.values(), time], changing))
+    def __init__(
+        self, states: Mapping[Node, Node], time: Node, given: Sequence[Node] = (),
+        functions: Sequence[Node] = (),
+    ) -> None:  # fmt: skip
+        changing = mask_of([*states, *given, time])
+        every = [*states, *states.values(), time, *given, *functions]
+        prepared = iter(_prepared(every, changing))
         symbols = [next(prepared) for _ in states]
         self.states = {x: next(prepared) for x in symbols}
         self.time = next(prepared)
+        self.given = [next(prepared) for _ in given]
+        self.functions = list(prepared)
         self.other: dict[Node, Node] = {}
         self.switches: dict[Node, int] = {}
         self.sides: dict[Node, tuple[int, int]] = {}
         self.exponents: dict[Node, None] = {}
         self._complete()
         every = [*self.states, *self.states.values(), *self.other.values(), *self.switches,
-                 *self.exponents]  # fmt: skip
+                 *self.exponents, *self.given, *self.functions]  # fmt: skip
         self.nodes = below(every)
         self.degree = self._degrees()
         self.is_doubtful = self._has_branches() or self._has_pulses()
@@ -236,8 +246,8 @@ class Series:
 
     def _complete(self) -> None:
         """Find the series that functions need besides their arguments, and the switches."""
-        changing = mask_of([*self.states, self.time])
-        left = below([*self.states, *self.states.values()])
+        changing = mask_of([*self.states, *self.given, self.time])
+        left = below([*self.states, *self.states.values(), *self.functions])
         while left:
             e = left.pop()
             graph = e.graph
@@ -279,6 +289,8 @@ class Series:
             return states[e]
         if e is self.time:
             return 1
+        if e in self.given:
+            return ENDLESS
         if e.op in _CONSTANT:
             return 0
         if e.op == "choose":

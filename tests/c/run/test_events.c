@@ -362,7 +362,7 @@ static void test_resets(const dal_system *ball)
     dal_events *const many = events_of(long_step, "leapfrog", slower, 1);
     dal_run all = {.stepper = long_step, .steps = 1, .stride = 1, .events = many};
     CHECK(dal_run_go(&all, 1) == DAL_EZENO && all.done == 0);
-    CHECK(strstr(dal_stepper_error(long_step)->text, "100 events in one step") != NULL);
+    CHECK(strstr(dal_stepper_error(long_step)->text, "100 resets in one step") != NULL);
     dal_events_free(many);
     /* into a corner: both walls, and back on the way that led there */
     plane right = {0, 1.0, 1.0}, top = {1, -2.0, 1.0};

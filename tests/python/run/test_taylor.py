@@ -302,11 +302,12 @@ def test_the_next_double():
 
 
 def test_events_in_long_steps():
-    """A step may be half an oscillation; with events it is made in parts."""
+    """A step may be half an oscillation; with functions as events it is made in parts."""
     oscillator = free(x**2 / 2)
     for g, count in ((x**2 - sp.Rational(1, 2), 64), (sp.sin(5 * t), 159), (x * x.d - 0.4, 64)):
-        run = dal.integrate(oscillator, q0=[0, 0], v0=[1, 0], t_end=100, events=[g])
-        assert len(run.t_events[0]) == count
+        for event in (g, sp.lambdify((t, (x, y), (x.d, y.d)), g)):
+            run = dal.integrate(oscillator, q0=[0, 0], v0=[1, 0], t_end=100, events=[event])
+            assert len(run.t_events[0]) == count
     assert run.control["parts"] == 16
 
 
@@ -413,7 +414,7 @@ def test_a_kink(v0, before):
     for t_end in (50, -50):
         run = dal.integrate(system, q0=[fall(before), 0], v0=[v0, 1], t_end=t_end)
         expected = [fall(before + s) for s in run.t]
-        np.testing.assert_allclose(run.q[:, 0], expected, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(run.q[:, 0], expected, rtol=0, atol=2e-13)
         assert len(run.t) < 60
     rest = dal.integrate(system, q0=[0, 0], v0=[0, 1], t_end=5)
     assert (rest.q[:, 0] == 0).all()

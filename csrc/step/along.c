@@ -1,0 +1,313 @@
+/* A function of the state along a piece of a motion.
+ *
+ * The coefficients of the state are those of a piece; those of g follow from them.  Where they lead
+ * less far than the piece does, the polynomials are written about another time. */
+#include "step/along.h"
+
+#include <stdlib.h>
+
+/* The most units of a part; only last coefficients that are nearly zero would allow more. */
+static const double LONGEST = 8.0, LONGEST_IN_DOUBT = 2.0;
+
+/* A part is at least 1/FAR of the unit of its coefficients; if not, the unit becomes smaller. */
+static const double FAR = 64.0;
+
+/* The series of g is compared with g at the end of each part, and in doubt at so many places inside
+ * it.  They may differ by this part of the sum of the terms; and by UNSURE times what g changes by
+ * where the state and the time are rounded. */
+enum { INSIDE = 15 };
+static const double ALLOWED = 1e-8, UNSURE = 100.0, ROUNDED = 0x1p-50;
+
+struct dal__along {
+    const dal_event *event;
+    const dal_event_series *series;
+    size_t n, states, width; /* the width of the states */
+    double *y, *low, *change, *x;   /* [width], [width], [width], [2n] */
+    double *about, *coefficients, *work;
+    double *side, *crossed;         /* [switches], as those of a motion */
+    double unit;                    /* of the coefficients */
+    size_t at_switch;               /* at which the part ends, or the number of switches */
+    dal__found found;
+    double *t;                      /* [room] */
+    size_t room;
+    arena arena;
+};
+
+int dal__along_new(dal__along **self, const dal_event *event, const dal_series *series, size_t n,
+                   dal_error *error)
+{
+    const dal_event_series *const of = event->series;
+    const size_t spare = DAL_COEFFICIENTS_SPARE, rows = DAL_SERIES_MOST + 1;
+    if (of->abi != DAL_SERIES_ABI || of->states != series->states || of->functions != 1)
+        return dal__fail(error, DAL_EINVAL, "the series of the event are of number %u, for %zu "
+                         "states, of %zu functions: expected number %u, %zu states, 1 function; "
+                         "compile the event with this version of series.h, for the system of the "
+                         "run", of->abi, of->states, of->functions, DAL_SERIES_ABI,
+                         series->states);
+    dal__along shape = {.event = event, .series = of, .n = n,
+                        .states = series->states, .width = series->width}, *made;
+    arena memory = {0};
+    dal__reserve(&memory, &made, 1, sizeof *made);
+    DAL__RESERVE(&memory, shape.width + spare, &shape.y, &shape.low, &shape.change);
+    DAL__RESERVE(&memory, 2 * n, &shape.x);
+    DAL__RESERVE(&memory, rows * shape.width + spare, &shape.about);
+    DAL__RESERVE(&memory, rows * of->width + spare, &shape.coefficients);
+    DAL__RESERVE(&memory, rows * of->room + spare, &shape.work);
+    DAL__RESERVE(&memory, of->switches, &shape.side, &shape.crossed);
+    const int status = dal__allocate(&memory, error);
+    if (status) return status;
+    double **const blocks[] = {&shape.change, &shape.about, &shape.coefficients, &shape.work};
+    for (size_t i = 0; i < DAL_LENGTH(blocks); i++) *blocks[i] = dal__aligned(*blocks[i]);
+    *made = shape;
+    made->arena = memory;
+    *self = made;
+    return DAL_SUCCESS;
+}
+
+void dal__along_free(dal__along *self)
+{
+    if (!self) return;
+    free(self->t);
+    dal__release(&self->arena);
+}
+
+dal__found dal__along_found(const dal__along *self) { return self->found; }
+
+/* ---- coefficients ------------------------------------------------------------------------ */
+
+/* self->about <- the coefficients of the states about s, in self->unit. */
+static void write_about(dal__along *self, const dal__piece *piece, double s)
+{
+    const size_t width = self->width;
+    double *const Y = self->about;
+    memcpy(Y, piece->coefficients, (piece->order + 1) * width * sizeof *Y);
+    for (size_t i = 0; s != 0.0 && i < piece->order; i++)
+        for (size_t k = piece->order; k-- > i;)
+            for (size_t c = 0; c < self->states; c++)
+                Y[k * width + c] += s * Y[(k + 1) * width + c];
+    double power = 1.0;
+    const double ratio = self->unit / piece->unit;
+    for (size_t k = 1; ratio != 1.0 && k <= piece->order; k++) {
+        power *= ratio;
+        for (size_t c = 0; c < self->states; c++) Y[k * width + c] *= power;
+    }
+}
+
+static void expand(dal__along *self, const dal__piece *piece, double t)
+{
+    const double s = (t - piece->t) / piece->unit;
+    const bool is_same = s == 0.0 && self->unit == piece->unit;
+    const dal_series_at at = {.t = t, .unit = self->unit, .y = self->y, .low = self->low,
+                              .u = piece->input, .side = self->side, .crossed = self->crossed};
+    dal__numbers_at(piece, s, self->y, self->low, self->change);
+    if (!is_same) write_about(self, piece, s);
+    self->series->expand(&at, piece->order, is_same ? piece->coefficients : self->about,
+                         self->width, self->coefficients, self->work, self->event->ctx);
+}
+
+/* The sides of switches that are not known: their signs at t, or right after it.  Returns whether
+ * all were known. */
+static bool find_sides(dal__along *self, size_t order, double direction)
+{
+    bool known = true;
+    for (size_t i = 0; i < self->series->switches; i++) {
+        const double *const g = self->coefficients + self->series->functions + i;
+        double ahead = 1.0;
+        for (size_t k = 0; self->side[i] == 0.0 && k < order; k++, ahead *= direction) {
+            const double one = g[k * self->series->width];
+            if (one == 0.0) continue;
+            self->side[i] = copysign(1.0, ahead * one);
+            self->crossed[i] = (double)k;
+            known = false;
+        }
+    }
+    return known;
+}
+
+/* The coefficients at t, in a unit that suits them; returns how many units they lead to, 0 if there
+ * are none. */
+static double expand_at(dal__along *self, const dal__piece *piece, double t, double direction)
+{
+    enum { TRIES = 40 };
+    double decay[DAL_SERIES_LAST];
+    for (size_t k = 0; k < TRIES + 2 * self->series->switches; k++) {
+        expand(self, piece, t);
+        self->series->decay(piece->order, self->coefficients, decay);
+        const double units = dal__units_of(decay, piece->order, piece->log_tolerance);
+        if (units >= 1.0 / FAR) {
+            if (find_sides(self, piece->order, direction)) return units;
+        } else {
+            self->unit *= isnan(units) ? 0x1p-16 : dal__power_of_2(units);
+            if (!(self->unit > DBL_MIN)) return 0.0;
+        }
+    }
+    return 0.0;
+}
+
+/* ---- the value of g ---------------------------------------------------------------------- */
+
+/* *g <- the function at s units of the piece; rounded: of numbers that are moved by roundoff. */
+static bool value_at(dal__along *self, const dal__piece *piece, double s, double rounded,
+                     double *g)
+{
+    const double t = (piece->t + s * piece->unit) * (1.0 + rounded);
+    double *const x = self->x;
+    dal__numbers_at(piece, s, self->y, self->low, self->change);
+    memcpy(x, self->y, self->n * sizeof *x);
+    piece->series->velocity(t, self->y, piece->input, x + self->n, piece->parameters);
+    for (size_t i = 0; i < 2 * self->n; i++) x[i] *= 1.0 + (i % 2 == 0 ? rounded : -rounded);
+    *g = (double)NAN;
+    return self->event->g(t, x, g, self->event->ctx) == 0 && isfinite(*g);
+}
+
+/* Whether the series of g about t gives its value at a distance of so many of its units. */
+static bool is_value(dal__along *self, const dal__piece *piece, double t, double units)
+{
+    const double s = (t - piece->t + units * self->unit) / piece->unit;
+    const double *const G = self->coefficients;
+    double sum = 0.0, size = 0.0, value, moved;
+    for (size_t k = piece->order + 1; k-- > 0;) {
+        sum = sum * units + G[k * self->series->width];
+        size = size * fabs(units) + fabs(G[k * self->series->width]);
+    }
+    if (!isfinite(sum) || !value_at(self, piece, s, 0.0, &value)) return false;
+    const double difference = fabs(sum - value);
+    if (difference <= fmax(ALLOWED, exp2(0.5 * piece->log_tolerance)) * size) return true;
+    return value_at(self, piece, s, ROUNDED, &moved)
+        && difference <= UNSURE * fabs(moved - value);
+}
+
+static bool has_values(dal__along *self, const dal__piece *piece, double t, double units)
+{
+    for (int k = 1; self->series->is_doubtful && k <= INSIDE; k++)
+        if (!is_value(self, piece, t, units * k / (INSIDE + 1.0))) return false;
+    return is_value(self, piece, t, units);
+}
+
+/* ---- parts of the piece ------------------------------------------------------------------ */
+
+/* How many units the part from t has, at most those given; 0 if g has no series there. */
+static double limit(dal__along *self, const dal__piece *piece, double t, double direction,
+                    double most)
+{
+    enum { HALVINGS = 50 };
+    const dal_event_series *const of = self->series;
+    double units = expand_at(self, piece, t, direction);
+    units = fmin(fmin(units, of->is_doubtful ? LONGEST_IN_DOUBT : LONGEST), most / self->unit);
+    const dal__columns columns = {.first = self->coefficients, .next = of->width,
+                                  .order = piece->order, .direction = direction};
+    for (size_t i = 0; i < of->exponents; i++)
+        units = dal__until_rise(&columns, of->functions + of->switches + i, units);
+    self->at_switch = of->switches;
+    for (size_t i = 0; i < of->switches; i++) {
+        const double change = dal__until_change(&columns, of->functions + i, self->side[i],
+                                                (size_t)self->crossed[i], units);
+        if (change < units) self->at_switch = i, units = change;
+    }
+    for (int k = 0; k < HALVINGS; k++, units *= 0.5) {
+        if (units == 0.0 || has_values(self, piece, t, direction * units)) return units;
+        self->at_switch = of->switches;
+    }
+    return 0.0;
+}
+
+static int add(dal__along *self, double t, dal_error *error)
+{
+    if (self->found.count == self->room) {
+        const size_t room = self->room > 0 ? 2 * self->room : 64;
+        double *const larger = realloc(self->t, dal__times(room, sizeof *larger));
+        if (!larger) return dal__fail(error, DAL_ENOMEM, "no memory for %zu events in one step",
+                                      room);
+        self->t = larger;
+        self->room = room;
+    }
+    self->found.t = self->t;
+    self->t[self->found.count++] = t;
+    return DAL_SUCCESS;
+}
+
+/* The changes of sign in a part of so many units from t, which is a zero of g if it leaves one. */
+static int look_into(dal__along *self, const dal__piece *piece, double t, double units,
+                     bool leaves_zero, dal_error *error)
+{
+    double c[DAL_ROOTS_MOST + 1], power = 1.0, rest = 0.0;
+    const size_t first = leaves_zero, order = piece->order - first;
+    for (size_t k = 0; k <= order; k++, power *= units) {
+        c[k] = power * self->coefficients[(k + first) * self->series->width];
+        rest += k > 0 ? fabs(c[k]) : 0.0;
+    }
+    const double noise = exp2(piece->log_tolerance) * (fabs(c[0]) + rest);
+    const double direction = leaves_zero && units < 0.0 ? -1.0 : 1.0;
+    dal__sign_changes here = {.touch = (double)NAN};
+    if (fabs(c[0]) - noise > rest) here.first = here.last = c[0] > 0.0 ? 1 : -1;
+    else dal__find_sign_changes(order, c, noise, &here);
+    here.first *= (int)direction;
+    here.last *= (int)direction;
+    int status = DAL_SUCCESS;
+    if (here.first * self->found.last < 0) status = add(self, t, error);
+    for (size_t k = 0; !status && k < here.count; k++)
+        status = add(self, t + here.at[k] * units * self->unit, error);
+    if (self->found.first == 0) self->found.first = here.first;
+    if (here.last != 0) self->found.last = here.last;
+    if (isnan(self->found.touch)) self->found.touch = t + here.touch * units * self->unit;
+    return status;
+}
+
+/* On the other side of the switch at which the part of a length ends; short parts keep switches
+ * crossed. */
+static void cross(dal__along *self, bool is_far)
+{
+    for (size_t i = 0; is_far && i < self->series->switches; i++) self->crossed[i] = 0.0;
+    if (self->at_switch == self->series->switches) return;
+    self->side[self->at_switch] *= -1.0;
+    self->crossed[self->at_switch] = 1.0;
+}
+
+static int fail_to_expand(double t, dal_error *error)
+{
+    return dal__fail(error, DAL_EDOMAIN, "the event has no Taylor series at t = %.17g", t);
+}
+
+static void begin(dal__along *self, const dal__piece *piece)
+{
+    self->unit = piece->unit;
+    self->found = (dal__found){.touch = (double)NAN};
+    dal__clear(self->series->switches, self->side);
+    dal__clear(self->series->switches, self->crossed);
+}
+
+int dal__along_look(dal__along *self, const dal__piece *piece, double from, double to,
+                    bool leaves_zero, dal__watch *watch, dal_error *error)
+{
+    const double direction = to < from ? -1.0 : 1.0;
+    size_t standing = 0; /* parts without length, one after the other */
+    begin(self, piece);
+    for (double t = from; t != to;) {
+        int status = dal__ask(watch, t, error);
+        if (status) return status;
+        const double units = limit(self, piece, t, direction, fabs(to - t));
+        const double ahead = t + direction * units * self->unit;
+        const double end = units * self->unit >= fabs(to - t) ? to : ahead;
+        if (end == t) {
+            if (self->at_switch == self->series->switches
+                || ++standing > 2 * self->series->switches) return fail_to_expand(t, error);
+            cross(self, false);
+            continue;
+        }
+        standing = 0;
+        status = look_into(self, piece, t, direction * units, leaves_zero && t == from, error);
+        if (status) return status;
+        cross(self, true);
+        t = end;
+    }
+    return DAL_SUCCESS;
+}
+
+int dal__along_rate(dal__along *self, const dal__piece *piece, double t, double *rate,
+                    dal_error *error)
+{
+    begin(self, piece);
+    const bool is_known = expand_at(self, piece, t, 1.0) > 0.0;
+    *rate = self->coefficients[self->series->width] / self->unit;
+    return is_known && isfinite(*rate) ? DAL_SUCCESS : fail_to_expand(t, error);
+}
