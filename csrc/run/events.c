@@ -307,7 +307,9 @@ static int begin_anew(dal_events *e, const crossing *c, const happening *now, bo
     memcpy(e->begin, now->after, 2 * e->n * sizeof *e->begin);
     memcpy(e->x, now->after, 2 * e->n * sizeof *e->x);
     const double end = dal__time_at(e, 1.0);
+    e->probe->motion.kept = e->stepper->motion.kept; /* from here on the motion is that of probe */
     status = dal__probe(e, t, end - t, e->x);
+    e->probe->motion.kept = NULL;
     e->unscaled += e->lost;
     memcpy(e->end, e->x, 2 * e->n * sizeof *e->end);
     memcpy(e->whole, e->probe->motion.impulse, e->m * sizeof *e->whole);

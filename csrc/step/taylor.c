@@ -5,7 +5,7 @@
  * not add up.  Pieces begin and end at times that are doubles. */
 #include "dalembert/series.h"
 #include "geometry/geometry.h"
-#include "step/coefficients.h"
+#include "step/polynomials.h"
 #include "step/scheme.h"
 #include "step/taylor.h"
 
@@ -555,6 +555,12 @@ static bool shorten(taylor *self, const dal_motion *motion, double units, double
     return false;
 }
 
+static int keep(taylor *self, dal_motion *motion)
+{
+    const dal__piece piece = piece_of(self);
+    return motion->kept ? dal__polynomials_add(motion->kept, &piece, motion->error) : DAL_SUCCESS;
+}
+
 /* A piece from y. */
 static int begin_piece(taylor *self, dal_motion *motion)
 {
@@ -567,7 +573,7 @@ static int begin_piece(taylor *self, dal_motion *motion)
         const double most = until_rise(self, direction, limit(self, &units));
         const double length = until_switch(self, direction, most) * self->unit;
         self->stale = false;
-        if (shorten(self, motion, units, length)) return DAL_SUCCESS;
+        if (shorten(self, motion, units, length)) return keep(self, motion);
         if (self->switched == switches) self->switched = switch_at_hand(self, direction);
         if (self->switched == switches) return fail_to_go_on(self, motion, length);
         if (!cross(self)) return fail_to_slide(self, motion);

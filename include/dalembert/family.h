@@ -26,7 +26,8 @@ typedef struct dal_motion {
     double *estimate;          /* [2n] for error-controlled steps, which are taken one at a time;
                                   else NULL */
     dal_stats *stats;
-    struct dal__guards *guards; /* internal to the library */
+    struct dal__guards *guards; /* internal to the library, as is */
+    struct dal__polynomials *kept;
     dal_watch_fn watch;        /* or NULL: to be called by long steps, with the time */
     void *watch_ctx;
     dal_error *error;          /* the failure of the last step, without the number of the step.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import threading
 import warnings
@@ -24,6 +25,7 @@ from ..core import (
 from ..core.memory import require_memory
 from ..core.records import takes
 from ..system import System
+from .dense import Dense
 from .events import CONSISTENCY, Watch
 from .journal import Journal, describe
 from .laws import take_inputs
@@ -124,7 +126,12 @@ def integrate(*args: Any, **given: Any) -> Solution:
     watched = asked.events or times is not None
     watch = Watch(system, stepper, chosen, asked.events, times) if watched else None
     plan = Plan(asked, system, chosen, stepper, sizes, stride, inputs, hold, watch, first)
-    solution = _make(begin, plan)
+    if not asked.dense:
+        solution = _make(begin, plan)
+    else:
+        dense = Dense(system, chosen)
+        with dense.keeping(stepper):
+            solution = _make(begin, dataclasses.replace(plan, dense=dense))
     idle.append(stepper)
     return solution
 

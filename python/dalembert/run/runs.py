@@ -17,6 +17,7 @@ from ..core.memory import require_memory
 from ..system import System
 from .laws import Law, is_control
 from .scheme import Scheme
+from .dense import Dense
 from .events import Watch, split
 from .solution import Solution, Statistics, counts_of, rank_doubt
 from .steps import Steps
@@ -110,6 +111,7 @@ class Plan:
     hold: float = 1
     watch: Watch | None = None
     first: Array | None = None
+    dense: Dense | None = None
 
 
 class Run:
@@ -123,7 +125,7 @@ class Run:
         self.t0, self.h = steps.t0, steps.h
         self.show, self.shown_at = show, -np.inf
         self.checks = self.left = 0  # steps that check h: all that are known of, those to be made
-        self.watch, self.hold = watch, hold
+        self.watch, self.hold, self.dense = watch, hold, plan.dense
         self.journal: Any = None
         self.varies = steps.varies
         self.inputs = None  # the rows that C reads, or that a controller fills
@@ -303,6 +305,8 @@ class Run:
             if self.watch.times is not None:
                 x, times = self._at_times()
                 reactions = np.full((len(x) - 1, self.system.m), np.nan)
+        if self.dense is not None:
+            self.dense.span = self.t0, t
         if self.status < 0:
             message = f"{type(self.error).__name__}: {self.error}"
         elif run.ended:
@@ -321,7 +325,7 @@ class Run:
             system=self.system, scheme=self.scheme, t0=self.t0, h=self.h, stride=int(run.stride),
             x=x, reactions=reactions, status=self.status, times=times, inputs=inputs,
             hold=self.hold, control=self.steps.control, message=message,
-            _counts=counts_of(self.stepper), **happened,
+            dense=self.dense, _counts=counts_of(self.stepper), **happened,
         )  # fmt: skip
 
 

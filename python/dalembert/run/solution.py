@@ -14,6 +14,7 @@ from .. import core, geometry
 from ..core import Array, arguments, ffi, functions, lib, require_system
 from ..system import System
 from . import between
+from .dense import Dense
 from .scheme import Scheme
 from .steps import how
 
@@ -238,6 +239,8 @@ class Solution(Mapping[str, Any]):
     hold : float
         Number of steps for which a row of ``inputs`` applies; a time if the step size varies.
     stride : int
+    dense : Dense or None
+        The polynomials of the steps, if asked for.
     nodes : {"moved", "kept"}
     shift : float
         0 for moved nodes, (1 - beta) h for kept ones.
@@ -280,6 +283,7 @@ class Solution(Mapping[str, Any]):
     t_events: tuple[Array, ...] = ()
     x_events: tuple[Array, ...] = ()
     x_after: tuple[Array, ...] = ()
+    dense: Dense | None = None
     _computed: dict[str, Array] = field(default_factory=dict, init=False)
     _counts: ClassVar[Any] = None  # the dal_stats, where there are no stats yet
 
@@ -503,7 +507,7 @@ class Solution(Mapping[str, Any]):
         If the step size varies, or there are inputs, steps of the scheme lead to the states, each
         from the stored state before.  They have the error of the run.  Each costs one step, or as
         many as there are between two stored states.  With "taylor" it is always so, and all states
-        within a step come from its polynomial.
+        within a step come from its polynomial; with ``dense=True`` from that of the run.
 
         Parameters
         ----------
@@ -539,7 +543,9 @@ class Solution(Mapping[str, Any]):
         flat = times.reshape(-1)
         x, changes = np.empty((flat.size, 2 * self.system.n)), 0
         assert self.inputs is not None
-        if self.control or len(self.inputs) or self.scheme.family == "taylor":
+        if self.dense is not None:
+            x[...] = self.dense.states(flat)
+        elif self.control or len(self.inputs) or self.scheme.family == "taylor":
             between.fill(self, flat, x)
         else:
             for first, rows, these in self._pieces(flat):
