@@ -172,7 +172,8 @@ typedef enum dal_missing {
 } dal_missing;
 
 struct dal_compiled; /* dalembert/kernel.h */
-struct dal_series;   /* dalembert/series.h */
+struct dal_series;   /* dalembert/series.h, as is */
+struct dal_variation_series;
 
 /* The entries that may be nonzero in phi_v or in phi_q, sorted by row and then by column. */
 typedef struct dal_sparsity {
@@ -233,6 +234,7 @@ typedef struct dal_system_def {
                                             computes the steps of moved nodes.  Not with a sparsity
                                             or missing derivatives */
     const struct dal_series *series; /* the Taylor series compiled for this system, or NULL */
+    const struct dal_variation_series *variations; /* those of its derivatives, or NULL */
     int steady;                     /* a dal_steady or 0; nonzero only for constant mass, linear
                                        constraints, and not time_dependent */
     int time_dependent;             /* 1: a callback besides the force depends on t, and provides

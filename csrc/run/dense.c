@@ -5,24 +5,24 @@
 
 #include <stdlib.h>
 
-struct dal_dense {
+struct dal_taylor_dense {
     dal__polynomials pieces;
     dal_stepper *stepper; /* of the system and scheme, whose workspace is used */
 };
 
-int dal_dense_new(dal_dense **dense, const dal_system *system, const dal_scheme *scheme,
+int dal_taylor_dense_new(dal_taylor_dense **dense, const dal_system *system, const dal_scheme *scheme,
                   dal_error *error)
 {
     int status = DAL__REQUIRE(error, {"dense", dense}, {"system", system}, {"scheme", scheme});
     if (status) return status;
-    dal_dense *const self = calloc(1, sizeof *self);
+    dal_taylor_dense *const self = calloc(1, sizeof *self);
     if (!self) return dal__fail(error, DAL_ENOMEM, "no memory for dense output");
     status = dal_stepper_new(&self->stepper, system, scheme, NULL, error);
     if (!status && !dal__taylor_has_pieces(self->stepper))
         status = dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" has no polynomials; choose the "
                            "scheme taylor", scheme->name);
     if (status) {
-        dal_dense_free(self);
+        dal_taylor_dense_free(self);
         return status;
     }
     self->pieces.inputs = self->stepper->motion.system->def.inputs;
@@ -30,7 +30,7 @@ int dal_dense_new(dal_dense **dense, const dal_system *system, const dal_scheme 
     return DAL_SUCCESS;
 }
 
-void dal_dense_free(dal_dense *dense)
+void dal_taylor_dense_free(dal_taylor_dense *dense)
 {
     if (!dense) return;
     dal_stepper_free(dense->stepper);
@@ -38,7 +38,7 @@ void dal_dense_free(dal_dense *dense)
     free(dense);
 }
 
-int dal_stepper_keep(dal_stepper *stepper, dal_dense *dense)
+int dal_taylor_keep(dal_stepper *stepper, dal_taylor_dense *dense)
 {
     if (!stepper) return DAL_EINVAL;
     if (dense && dense->stepper->identity != stepper->identity)
@@ -48,14 +48,14 @@ int dal_stepper_keep(dal_stepper *stepper, dal_dense *dense)
     return DAL_SUCCESS;
 }
 
-size_t dal_dense_count(const dal_dense *dense, size_t *bytes)
+size_t dal_taylor_dense_count(const dal_taylor_dense *dense, size_t *bytes)
 {
     const dal__polynomials *const pieces = &dense->pieces;
     if (bytes) *bytes = pieces->room * pieces->numbers * sizeof(double);
     return pieces->count;
 }
 
-int dal_dense_states(dal_dense *dense, size_t count, const double *t, double *x)
+int dal_taylor_dense_states(dal_taylor_dense *dense, size_t count, const double *t, double *x)
 {
     if (!dense) return DAL_EINVAL;
     dal_stepper *const stepper = dense->stepper;
@@ -72,4 +72,4 @@ int dal_dense_states(dal_dense *dense, size_t count, const double *t, double *x)
     return status;
 }
 
-const dal_error *dal_dense_error(const dal_dense *dense) { return &dense->stepper->error; }
+const dal_error *dal_taylor_dense_error(const dal_taylor_dense *dense) { return &dense->stepper->error; }

@@ -21,7 +21,7 @@ static const double ALLOWED = 1e-8, UNSURE = 100.0, ROUNDED = 0x1p-50;
 struct dal__along {
     const dal_event *event;
     const dal_event_series *series;
-    size_t n, states, width; /* the width of the states */
+    size_t n, width;                /* the width of the states */
     double *y, *low, *change, *x;   /* [width], [width], [width], [2n] */
     double *about, *coefficients, *work;
     double *side, *crossed;         /* [switches], as those of a motion */
@@ -44,8 +44,7 @@ int dal__along_new(dal__along **self, const dal_event *event, const dal_series *
                          "compile the event with this version of series.h, for the system of the "
                          "run", of->abi, of->states, of->functions, DAL_SERIES_ABI,
                          series->states);
-    dal__along shape = {.event = event, .series = of, .n = n,
-                        .states = series->states, .width = series->width}, *made;
+    dal__along shape = {.event = event, .series = of, .n = n, .width = series->width}, *made;
     arena memory = {0};
     dal__reserve(&memory, &made, 1, sizeof *made);
     DAL__RESERVE(&memory, shape.width + spare, &shape.y, &shape.low, &shape.change);
@@ -75,24 +74,6 @@ dal__found dal__along_found(const dal__along *self) { return self->found; }
 
 /* ---- coefficients ------------------------------------------------------------------------ */
 
-/* self->about <- the coefficients of the states about s, in self->unit. */
-static void write_about(dal__along *self, const dal__piece *piece, double s)
-{
-    const size_t width = self->width;
-    double *const Y = self->about;
-    memcpy(Y, piece->coefficients, (piece->order + 1) * width * sizeof *Y);
-    for (size_t i = 0; s != 0.0 && i < piece->order; i++)
-        for (size_t k = piece->order; k-- > i;)
-            for (size_t c = 0; c < self->states; c++)
-                Y[k * width + c] += s * Y[(k + 1) * width + c];
-    double power = 1.0;
-    const double ratio = self->unit / piece->unit;
-    for (size_t k = 1; ratio != 1.0 && k <= piece->order; k++) {
-        power *= ratio;
-        for (size_t c = 0; c < self->states; c++) Y[k * width + c] *= power;
-    }
-}
-
 static void expand(dal__along *self, const dal__piece *piece, double t)
 {
     const double s = (t - piece->t) / piece->unit;
@@ -100,7 +81,7 @@ static void expand(dal__along *self, const dal__piece *piece, double t)
     const dal_series_at at = {.t = t, .unit = self->unit, .y = self->y, .low = self->low,
                               .u = piece->input, .side = self->side, .crossed = self->crossed};
     dal__numbers_at(piece, s, self->y, self->low, self->change);
-    if (!is_same) write_about(self, piece, s);
+    if (!is_same) dal__write_about(piece, s, self->unit, self->about);
     self->series->expand(&at, piece->order, is_same ? piece->coefficients : self->about,
                          self->width, self->coefficients, self->work, self->event->ctx);
 }

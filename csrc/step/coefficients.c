@@ -94,3 +94,19 @@ void dal__numbers_at(const dal__piece *piece, double s, double *y, double *low, 
         low[i] = rest;
     }
 }
+
+void dal__write_about(const dal__piece *piece, double s, double unit, double *Y)
+{
+    const size_t width = piece->series->width, order = piece->order;
+    const double ratio = unit / piece->unit;
+    double power = 1.0;
+    memcpy(Y, piece->coefficients, (order + 1) * width * sizeof *Y);
+    for (size_t i = 0; s != 0.0 && i < order; i++)
+        for (size_t k = order; k-- > i;)
+            for (size_t c = 0; c < piece->series->states; c++)
+                Y[k * width + c] += s * Y[(k + 1) * width + c];
+    for (size_t k = 1; ratio != 1.0 && k <= order; k++) {
+        power *= ratio;
+        for (size_t c = 0; c < piece->series->states; c++) Y[k * width + c] *= power;
+    }
+}

@@ -51,8 +51,12 @@ typedef struct dal__piece {
     double t, end, unit, log_tolerance;
     const double *y, *low, *coefficients; /* [width], [width], [(order + 1)*width] */
     const double *input;
+    const double *side, *crossed;         /* [switches], as in series.h */
     const void *parameters;
 } dal__piece;
+
+/* Y[(order + 1)*width] <- the coefficients of the states about s, in a unit. */
+void dal__write_about(const dal__piece *piece, double s, double unit, double *Y);
 
 /* y[width], low[width] <- the numbers at t + s unit; change[width], aligned to 32, is scratch. */
 void dal__numbers_at(const dal__piece *piece, double s, double *y, double *low, double *change);

@@ -240,7 +240,8 @@ static dal__piece piece_of(const taylor *self)
     return (dal__piece){.series = self->series, .order = self->order, .t = self->t,
                         .end = self->end, .unit = self->unit,
                         .log_tolerance = self->log_tolerance, .y = self->y, .low = self->low,
-                        .coefficients = self->coefficients, .input = self->input};
+                        .coefficients = self->coefficients, .input = self->input,
+                        .side = self->side, .crossed = self->crossed};
 }
 
 /* The state at s units of the piece: y[width] and its low part. */
@@ -845,7 +846,9 @@ int dal__taylor_state(dal_stepper *stepper, const dal__piece *piece, double t, d
     taylor *const self = stepper->method;
     if (self->inputs > 0) memcpy(self->input, piece->input, self->inputs * sizeof(double));
     dal__numbers_at(piece, (t - piece->t) / piece->unit, self->some, self->some_low, self->change);
-    return find_state(self, &stepper->motion, t, self->some, x);
+    const int status = find_state(self, &stepper->motion, t, self->some, x);
+    if (status) stepper->error = *stepper->motion.error;
+    return status;
 }
 
 int dal__taylor_visit(dal_stepper *stepper, double until, dal__visit_fn visit, void *ctx)
@@ -853,6 +856,7 @@ int dal__taylor_visit(dal_stepper *stepper, double until, dal__visit_fn visit, v
     taylor *const self = stepper->method;
     dal_motion *const motion = &stepper->motion;
     double from = time_of(motion, 0);
+    *motion->error = (dal_error){0};
     int status = follow(self, motion, from);
     while (!status) {
         const dal__piece piece = piece_with(self, motion);
@@ -863,6 +867,7 @@ int dal__taylor_visit(dal_stepper *stepper, double until, dal__visit_fn visit, v
         status = next_piece(self, motion, until);
     }
     self->going = false;
+    stepper->error = *motion->error;
     return status;
 }
 

@@ -141,6 +141,7 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
     def.ctx_size = sizeof *self;
     def.compiled = NULL;
     def.series = NULL;
+    def.variations = NULL;
     def.sparsity = NULL;
     def.steady = 0;
     def.parameters = NULL;

@@ -88,6 +88,30 @@ typedef double dal_four __attribute__((vector_size(32), may_alias));
 
 typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
 
+/* The series of derivatives of a motion by its start, parameters and inputs, along a motion whose
+ * series are known; four at once.  The numbers of a direction a are first those of y, then those of
+ * parameters and inputs, which stay.  Of order 2 they are those of y in the directions a, b and
+ * both, then those of parameters and inputs in a, and in b. */
+typedef struct dal_variation_series {
+    unsigned abi;  /* DAL_SERIES_ABI */
+    int order;     /* 1 or 2 */
+    size_t states, parameters, inputs; /* of the system */
+    size_t switches; /* columns that follow on those of states: derivatives of the switches; none
+                        for order 2 */
+    size_t width;  /* columns */
+    size_t room;   /* numbers of workspace for each order */
+    /* Y[(order + 1)*width] <- the coefficients, from those of the states in rows of y_width;
+     * columns[numbers].  work[(order + 1)*room].  All are aligned to 64. */
+    void (*expand)(const dal_series_at *at, size_t order, const double *states, size_t y_width,
+                   const dal_four *columns, dal_four *Y, double *work, const void *p);
+    /* values <- the derivatives of v[n] in each direction; of w[states - n], from those of x[2n],
+     * parameters and inputs in one direction. */
+    void (*velocity)(double t, const double *y, const double *u, const double *columns,
+                     double *values, const void *p);
+    void (*quasi)(double t, const double *x, const double *u, const double *columns,
+                  double *values, const void *p);
+} dal_variation_series;
+
 /* Operations of expand and expand_four.  Their texts differ in the type of the numbers: double, or
  * dal_four for four motions. */
 

@@ -37,11 +37,13 @@ from .run import (
     States,
     Statistics,
     Stepper,
+    Variations,
     integrate,
     load,
     reference,
     resume,
     schemes,
+    variations,
 )
 from .show import animation, bodies, notebook, pages, plot, report, table
 from .show import ensembles as pictures
@@ -94,6 +96,7 @@ __all__ = [
     "Study",
     "System",
     "Tried",
+    "Variations",
     "ZenoError",
     "convergence",
     "coordinates",
@@ -115,6 +118,7 @@ __all__ = [
     "schemes",
     "studies",
     "systems",
+    "variations",
 ]
 
 # What objects show of themselves: below `show` nothing knows of tables and pictures.

@@ -8,6 +8,7 @@ from .scheme import Scheme, schemes
 from .solution import Solution, States, Statistics
 from .stepper import Stepper
 from .storage import load, save
+from .variations import Variations, variations
 
 # What turns a solution into something else, as its methods.
 Solution.save = save

@@ -48,7 +48,7 @@ class Dense:
         handle = scheme._stepped(system)._handle
         self.span, self._size = (0.0, 0.0), 2 * system.n
         self._handle = core.make(
-            "dense", handle, record, owner=(handle, kept), new=lib.dal_dense_new
+            "taylor_dense", handle, record, owner=(handle, kept)
         )
 
     def __reduce__(self) -> Any:
@@ -59,22 +59,22 @@ class Dense:
 
     @property
     def count(self) -> int:
-        return int(lib.dal_dense_count(self._handle, ffi.NULL))
+        return int(lib.dal_taylor_dense_count(self._handle, ffi.NULL))
 
     @property
     def nbytes(self) -> int:
         size = ffi.new("size_t *")
-        lib.dal_dense_count(self._handle, size)
+        lib.dal_taylor_dense_count(self._handle, size)
         return int(size[0])
 
     @contextlib.contextmanager
     def keeping(self, stepper: Any) -> Iterator[None]:
         """Keep the polynomials of a ``dal_stepper``."""
-        core.check(lib.dal_stepper_keep(stepper, self._handle), stepper)
+        core.check(lib.dal_taylor_keep(stepper, self._handle), stepper)
         try:
             yield
         finally:
-            lib.dal_stepper_keep(stepper, ffi.NULL)
+            lib.dal_taylor_keep(stepper, ffi.NULL)
 
     def states(self, times: Array) -> Array:
         """Return the states at times of the run, shape (N, 2n)."""
@@ -89,7 +89,7 @@ class Dense:
         x = np.empty((len(times), self._size))
         for first in range(0, len(times), _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
-            status = lib.dal_dense_states(
+            status = lib.dal_taylor_dense_states(
                 self._handle, len(times[some]), core.pointer(times[some]),
                 core.pointer(x[some], output=True),
             )  # fmt: skip

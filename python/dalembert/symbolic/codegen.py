@@ -19,6 +19,7 @@ from .model import Model
 from .motion import motion
 from .pattern import MOST, field_zeros, pattern
 from .printing import LANES, C, Program, Text, spelled
+from .variations import variations
 
 GENERATOR = 4  # changes with what is generated, as the files of this module do
 
@@ -100,15 +101,17 @@ def program(
     compact : bool, optional
         Whether the system declares the sparsity of its constraints, so that the library supplies
         the steps.  Default: `is_compact`.
-    part : {"", "steps", "lanes", "series", "four series"}, optional
+    part : {"", "steps", "lanes", "series", "four series", "variations", ...}, optional
         The parts of the program besides the functions of the model.  "steps": the step routine, see
         `has_steps`.  "lanes": also one for several members at once, see `has_lanes`.  "series": the
-        Taylor series.  "four series": also those of four members at once.  A constructor has steps
-        and series.
+        Taylor series.  "four series": also those of four members at once.  "variations", "second
+        variations": also those of derivatives, of order 1 or 2.  A constructor has steps and
+        series.
     of : Model, optional
         Another model, along whose motions the invariants get Taylor series.
     """
-    lanes, series = part == "lanes", part in ("series", "four series") or name is not None
+    lanes, varied = part == "lanes", _VARIED.get(part, 0)
+    series = part in ("series", "four series") or name is not None or varied > 0
     made, body = Program(), Program()
     derived = model.derived
     compact = is_compact(model) if compact is None else compact
@@ -141,6 +144,8 @@ def program(
         _compiled(body, model, lanes)
     if series:
         expansion(body, model, motion(model), part == "four series")
+    if varied:
+        variations(body, model, motion(model), varied)
     if of is not None:
         along(body, of, motion(of), [of.derived.read(e) for e in model.invariants])
     if any("MODEL_CUT" in line for line in body.lines):
@@ -156,12 +161,16 @@ def program(
     definition = _definition(model, fast, compact)
     if series:
         definition.append(".series = MODEL_SERIES")
+    if varied:
+        definition.append(".variations = MODEL_VARIATIONS")
     if name is None:
         _for_the_package(made, model, definition)
     else:
         constructor(made, model, definition, name, system, compact)
     return made
 
+
+_VARIED = {"variations": 1, "second variations": 2}
 
 # Where an argument is no number, they are none.
 _HELPERS = {

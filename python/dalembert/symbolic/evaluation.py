@@ -36,7 +36,7 @@ def _generator() -> str:
         "formula.py", "symbols.py", "graph.py", "reading.py", "functions.py", "printing.py",
         "walls.py", "values.py", "derive.py", "model.py", "zeros.py", "pattern.py",
         "constructor.py", "motion.py", "forms.py", "convolutions.py", "reduced.py",
-        "recurrences.py", "expansion.py", "codegen.py",
+        "recurrences.py", "expansion.py", "variations.py", "codegen.py",
     )  # fmt: skip
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 

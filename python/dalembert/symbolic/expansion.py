@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
-from .graph import CONDITIONS, Node, below
+from .graph import CONDITIONS, Node, below, mask_of
 from .model import Model
 from .motion import Motion, series_of
 from .printing import C, Program, Text, nearest, spelled
-from .recurrences import COMPARED, ENDLESS, RULES, Operand, Series
+from .recurrences import COMPARED, ENDLESS, RULES, Operand, Pair, Series
 from .symbols import TIME
 
 
@@ -24,23 +24,51 @@ class Writer:
         The text of the values of symbols, by name.
     low : mapping of str to str
         The text of their parts below the last digit.
-    four : bool
+    four : bool, optional
         Whether the text is that of ``expand_four``.
+    wide : collection of str, optional
+        Names of symbols that have four values each, as has all that depends on them.
     """
 
     def __init__(
-        self, series: Series, places: Mapping[str, str], low: Mapping[str, str], four: bool
-    ) -> None:
+        self, series: Series, places: Mapping[str, str], low: Mapping[str, str],
+        four: bool = False, wide: Collection[str] = (),
+    ) -> None:  # fmt: skip
         self.series, self._places, self._below, self.four = series, places, low, four
-        self.type, self.zero = ("dal_four", "zero") if four else ("double", "0.0")
+        self.type = "dal_four" if four else "double"
+        self.has_wide = bool(wide)
+        self._wide = mask_of(e for e in series.nodes if e.op == "symbol" and e.value in wide)
         self._number = {e: i for i, e in enumerate(series.nodes)}
-        self.vectors = len(series.pairs) if four else -(-len(series.pairs) // 4)
-        self.width = -(-len(self._columns()) // 4) * 4
+        wide_pairs = [pair for pair in series.pairs if any(map(self.is_wide, _nodes_of(pair)))]
+        pairs = [pair for pair in series.pairs if pair not in wide_pairs]
+        self.vectors, self.wide_vectors = len(pairs) if four else -(-len(pairs) // 4), len(wide_pairs)
+        self._pairs, self._wide_pairs = pairs, wide_pairs
+        place = "vectors" if four else "at"
+        self._middle = {pair: f"M.{place}[{i}]" for i, pair in enumerate(pairs)}
+        self._middle |= {pair: f"N[{i}]" for i, pair in enumerate(wide_pairs)}
+        columns = len(self._columns())
+        self.width = columns if self.has_wide else -(-columns // 4) * 4
         self._low: dict[Node, str | None] = {}
         self._late: dict[Node, int] = {}  # how many operations of an order come before
         for e in series.nodes:
             is_known = series.degree[e] < ENDLESS or e in series.states or not e.args
             self._late[e] = 0 if is_known else 1 + max(self._late[a] for a in e.args)
+
+    def is_wide(self, e: Node) -> bool:
+        """Return whether a node has four values, in a text whose other numbers have one."""
+        return bool(e.reach & self._wide)
+
+    def type_of(self, e: Node) -> str:
+        return "dal_four" if self.is_wide(e) else self.type
+
+    def zero(self, e: Node) -> str:
+        return "zero" if self.four or self.is_wide(e) else "0.0"
+
+    def widened(self, text: str | None, e: Node, to: Node) -> str:
+        """Return the text of a number of e, or 0, as one of the type of another node."""
+        if text is None:
+            return self.zero(to)
+        return self.as_four(text, e) if self.is_wide(to) else text
 
     def lines(self) -> list[str]:
         """Return all statements."""
@@ -51,12 +79,13 @@ class Writer:
                   if (x := self._over(e))]  # fmt: skip
         found += [f"const {self.type} g{self._number[e]} = {self._part(e.args[1])} * "
                   f"{self.zeroth(e)} * r{self._number[e]};" for e in live if e.op == "power"]
-        found += [f"const {self.type} f{self._number[e]} = {self._slope(e)};" for e in live
+        found += [f"const {self.type_of(e)} f{self._number[e]} = {self._slope(e)};" for e in live
                   if series.degree[e] == 1]  # fmt: skip
-        found += [f"{self.type} b{self._number[e]} = {self.zeroth(e)};" for e in self._before()]
-        found += self._row("0", [self.zeroth(x) for x in self._columns()])
-        found += [f"{self.type} d{i} = {self.zeroth(rate)};"
-                  for i, rate in enumerate(series.states.values())]  # fmt: skip
+        found += [f"{self.type_of(e)} b{self._number[e]} = {self.zeroth(e)};"
+                  for e in self._before()]  # fmt: skip
+        found += self._row("0", [self._cell(self.zeroth(x), x) for x in self._columns()])
+        found += [f"{self.type_of(x)} d{i} = {self.widened(self.zeroth(rate), rate, x)};"
+                  for i, (x, rate) in enumerate(series.states.items())]  # fmt: skip
         found.append(f"for (size_t k = 1; k <{'=' * (not states)} order; k++) {{")
         found += [f"    {line}" for line in self._loop()]
         found.append("}")
@@ -66,9 +95,21 @@ class Writer:
         found += self._row("order", [last.format(i) for i in range(len(states))])
         return _used(found)
 
+    def _cell(self, text: str | None, e: Node) -> str:
+        """Return the text of a coefficient, or 0, as a number of a row."""
+        if self.has_wide:
+            return "zero" if text is None else self.as_four(text, e)
+        return text or self.zero(e)
+
+    def as_four(self, text: str, e: Node) -> str:
+        return text if self.is_wide(e) else f"DAL_SERIES_ALL({text})"
+
     def _row(self, order: str, coefficients: Sequence[str]) -> list[str]:
         """Return the assignment of coefficients of all columns, four at once."""
-        several = [*coefficients, *[self.zero] * (self.width - len(coefficients))]
+        none = "zero" if self.four or self.has_wide else "0.0"
+        several = [*coefficients, *[none] * (self.width - len(coefficients))]
+        if self.has_wide:
+            return [f"Y[{order} * {self.width} + {i}] = {x};" for i, x in enumerate(several)]
         if self.four:
             return [
                 f"dal_series_deal(Y, {order} * {self.width} + {i}, "
@@ -108,7 +149,8 @@ class Writer:
         for e in self.series.nodes:
             if e.op in ("number", "constant", "nan"):
                 continue
-            kind = self.type if e.op not in CONDITIONS else "dal_four_bits" if self.four else "int"
+            kind = "dal_four_bits" if self.four else "int"
+            kind = self.type_of(e) if e.op not in CONDITIONS else kind
             if e in self.series.sides:
                 found.append(f"const double s{self._number[e]} = {self._side(e)};")
                 found.append(f"const {kind} a{self._number[e]} = {self._branch(e, e.args, 0)};")
@@ -133,6 +175,8 @@ class Writer:
             return f"{above} * {self._part(e.args[1])} / {below}"
         if e.op in ("+", "-", "*", "/"):
             return f" {e.op} ".join(f"({x})" if x[0] == "-" else x for x in args)
+        if e.op == "choose":
+            args[1:] = [self.widened(x, a, e) for x, a in zip(args[1:], e.args[1:])]
         forms = _FOUR if self.four else C.forms
         if e.op in forms:
             return forms[e.op].format(*args)
@@ -202,6 +246,8 @@ class Writer:
         far from the origin keeps its digits.
         """
         name, number = f"a{self._number[e]}", self._number[e]
+        if self.is_wide(e):
+            return
         if e.op == "symbol":
             if place := self._below.get(e.value):
                 self._low[e] = place
@@ -280,36 +326,43 @@ class Writer:
             numbers = "" if self.four else f" double at[{4 * self.vectors}];"
             found.append(f"union {{ dal_four vectors[{self.vectors}];{numbers} }} M;")
             found.append(f"dal_series_middle(k, {self.vectors}, A, B, M.vectors);")
+        if self.wide_vectors:
+            found.append(f"dal_four N[{self.wide_vectors}];")
+            found.append(f"dal_series_middle(k, {self.wide_vectors}, C, D, N);")
         for i, x in enumerate(series.states):
             if series.degree[x] > 0:
                 text = f"DAL_SERIES_OVER(d{i}, exact, divisor, factor)"
-                found.append(f"const {self.type} c{self._number[x]} = {text};")
+                found.append(f"const {self.type_of(x)} c{self._number[x]} = {text};")
         for i, x in enumerate(series.given):
             found.append(f"const double c{self._number[x]} = states[k * y_width + {i}];")
         for e in series.nodes:
             if series.degree[e] > 0 and e not in series.states and e not in series.given:
                 is_linear = series.degree[e] == 1
-                one = f"k == 1 ? f{self._number[e]} : {self.zero}"
+                one = f"k == 1 ? f{self._number[e]} : {self.zero(e)}"
                 text = one if is_linear else self._order(e)
-                found.append(f"const {self.type} c{self._number[e]} = {text};")
-        found += self._row("k", [self.kth(e) or self.zero for e in self._columns()])
+                found.append(f"const {self.type_of(e)} c{self._number[e]} = {text};")
+        found += self._row("k", [self._cell(self.kth(e), e) for e in self._columns()])
+        for name, side in (("C", 0), ("D", 1)):
+            for c, pair in enumerate(self._wide_pairs):
+                text = self.as_four(self._operand(pair[side]), pair[side][0])
+                found.append(f"{name}[k * {self.wide_vectors} + {c}] = {text};")
         for name, side in (("A", 0), ("B", 1)):
-            operands = [self._operand(pair[side]) for pair in series.pairs]
+            operands = [self._operand(pair[side]) for pair in self._pairs]
             if not self.four:
                 operands += ["0.0"] * (4 * self.vectors - len(operands))
                 fours = (operands[i : i + 4] for i in range(0, len(operands), 4))
                 operands = [f"(dal_four){{{', '.join(four)}}}" for four in fours]
             found += [f"{name}[k * {self.vectors} + {c}] = {x};" for c, x in enumerate(operands)]
-        found += [f"b{self._number[e]} = {self.kth(e) or self.zero};" for e in self._before()]
-        for i, rate in enumerate(series.states.values()):
-            found.append(f"d{i} = {self.kth(rate) or self.zero};")
+        found += [f"b{self._number[e]} = {self.kth(e) or self.zero(e)};" for e in self._before()]
+        for i, (x, rate) in enumerate(series.states.items()):
+            found.append(f"d{i} = {self.widened(self.kth(rate), rate, x)};")
         return found
 
     def _operand(self, operand: Operand) -> str:
         e, is_weighted = operand
         text = self.kth(e)
         if text is None:
-            return self.zero
+            return self.zero(e)
         if not is_weighted:
             return text
         if e in self.series.states:
@@ -319,20 +372,21 @@ class Writer:
     def _order(self, e: Node) -> str:
         """Return the text of the coefficient of order k."""
         series, op = self.series, e.op
-        place = "vectors" if self.four else "at"
-        M = [f"M.{place}[{series.pairs[pair]}]" for pair in series.needs(e)]
+        M = [self._middle[pair] for pair in series.needs(e)]
         over = f"r{self._number[e]}"
         k = [self.kth(a) for a in e.args]
         zero = [self._part(a) for a in e.args]
         if op in ("+", "-"):
             if k[0] and k[1]:
                 return f"{k[0]} {op} {k[1]}"
-            return k[0] or (k[1] or "0.0" if op == "+" else f"-{k[1]}")
+            text = k[0] or (k[1] or "0.0" if op == "+" else f"-{k[1]}")
+            return self.widened(text, e.args[0 if k[0] else 1], e)
         if e in series.sides:
             return self._branch(e, e.args, 1)
         if op == "choose":
             forms = _FOUR if self.four else C.forms
-            return forms[op].format(self.zeroth(e.args[0]), *(x or self.zero for x in k[1:]))
+            parts = [self.widened(x, a, e) for x, a in zip(k[1:], e.args[1:])]
+            return forms[op].format(self.zeroth(e.args[0]), *parts)
         if op == "*":
             return self._times(e, M)
         if op == "/":
@@ -386,6 +440,10 @@ class Writer:
         return f"{sign}({k[0]} * {self._part(other)} + {rest})"
 
 
+def _nodes_of(pair: Pair) -> tuple[Node, Node]:
+    return pair[0][0], pair[1][0]
+
+
 _NAME = re.compile(r"[A-Za-z_]\w*")
 _TYPES = "double |dal_four |dal_four_bits |int |bool "
 _ASSIGNED = re.compile(rf" *(?:const )?(?:{_TYPES})?([a-z]\w*) = ")
@@ -437,7 +495,7 @@ def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
     series = series_of(model, motion)
     of = {"p": p, "u": u, "y": y}
     made.add("#ifdef __GNUC__")
-    one = Writer(series, *_places(of, time, "p[{}]", "at->{}"), False)
+    one = Writer(series, *places(of, time, "p[{}]", "at->{}"), False)
     made.add(_EXPAND + "    dal_four *const A = (dal_four *)work, "
              f"*const B = A + order * {one.vectors};\n" * bool(one.vectors)
              + "    const double *const p = parameters, unit = at->unit;\n    (void)p, (void)work;")
@@ -445,8 +503,8 @@ def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
     made.add("}\n")
     has_four = four and motion.in_D and not series.sides
     if has_four:
-        places = _places(of, time, "DAL_SERIES_OF(p, [{}])", "DAL_SERIES_OF(at, ->{})")
-        writer = Writer(series, *places, True)
+        of_four = places(of, time, "DAL_SERIES_OF(p, [{}])", "DAL_SERIES_OF(at, ->{})")
+        writer = Writer(series, *of_four, True)
         made.add(_EXPAND_FOUR + "    dal_four *const A = (dal_four *)work, "
                  f"*const B = A + order * {writer.vectors};\n" * bool(writer.vectors))
         made.lines += [f"    {line}" for line in writer.lines()]
@@ -477,7 +535,7 @@ def along(made: Program, model: Model, motion: Motion, functions: Sequence[Node]
     functions = graph.replaced(functions, dict(zip(v, motion.velocity)))
     series = Series({}, time, y, functions)
     of = {"p": p, "u": [read(x) for x in model.u], "y": y}
-    writer = Writer(series, *_places(of, time, "p[{}]", "at->{}"), False)
+    writer = Writer(series, *places(of, time, "p[{}]", "at->{}"), False)
     made.add("#ifdef __GNUC__")
     made.add(_EXPAND_ALONG + "    dal_four *const A = (dal_four *)work, "
              f"*const B = A + (order + 1) * {writer.vectors};\n" * bool(writer.vectors)
@@ -494,16 +552,16 @@ def along(made: Program, model: Model, motion: Motion, functions: Sequence[Node]
     )
 
 
-def _places(
+def places(
     of: Mapping[str, Sequence[Node]], time: Node, parameter: str, number: str
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Return the texts of symbols, by name, and of their parts below the last digit."""
-    places = {time.value: number.format("t")}
-    places |= {x.value: parameter.format(i) for i, x in enumerate(of["p"])}
+    found = {time.value: number.format("t")}
+    found |= {x.value: parameter.format(i) for i, x in enumerate(of["p"])}
     for name in ("u", "y"):
-        places |= {x.value: number.format(f"{name}[{i}]") for i, x in enumerate(of[name])}
+        found |= {x.value: number.format(f"{name}[{i}]") for i, x in enumerate(of[name])}
     low = {x.value: number.format(f"low[{i}]") for i, x in enumerate(of["y"])}
-    return places, low | {time.value: "0.0"}
+    return found, low | {time.value: "0.0"}
 
 
 # Operations of numbers of four motions: a condition has all bits or none.
@@ -563,8 +621,8 @@ def _values(
     made.add("    const double *const p = parameters;")
     made.add(f"    (void)t, (void){given}, (void)u, (void)p;")
     nodes = spelled(nodes)
-    places = {x.value: f"{key}[{i}]" for key, x in arrays.items() for i, x in enumerate(x)}
-    text = Text(nodes, C, places | {time.value: "t"})
+    where = {x.value: f"{key}[{i}]" for key, x in arrays.items() for i, x in enumerate(x)}
+    text = Text(nodes, C, where | {time.value: "t"})
     made.lines += [f"    {line}" for line in text.names(below(nodes), nodes)]
     made.lines += [f"    {out}[{i}] = {text.whole(e)};" for i, e in enumerate(nodes)]
     made.add("}\n")

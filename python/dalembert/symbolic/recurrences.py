@@ -35,6 +35,7 @@ _LOW, _LOW_OF_WAVES = 4, 16
 
 COMPARED = ("max", "min", "<", "<=", "==", "!=")
 _ALONE = ("fabs", "sign", "step")
+BRANCHING = (*COMPARED, *_ALONE)
 _CONSTANT = ("sign", "step", *CONDITIONS)  # between switches
 
 # Functions that may be far below the last digit, and then grow beyond all others.
@@ -261,7 +262,7 @@ class Series:
             elif e.op == "atan2":
                 y, x = e.args
                 found = self.other[e] = graph.make("+", _square(graph, x), _square(graph, y))
-            elif e.op in (*COMPARED, *_ALONE):
+            elif e.op in BRANCHING:
                 other = e.args[1] if e.op in COMPARED else graph.zero
                 found, sign = _difference(e.args[0], other)
                 self.sides[e] = self.switches.setdefault(found, len(self.switches)), sign
