@@ -846,7 +846,8 @@ def compared(
             continue
         verdict.note("found", kind)
         best = min(near, key=lambda x: abs(x - one.t))
-        false += [x for x in near if x is not best]
+        near.remove(best)
+        false += near
         error = float(abs(mp.mpf(best) - one.t)) / one.scale
         verdict.worst = max(verdict.worst, error)
         if not error <= BAR:
