@@ -16,6 +16,7 @@ static const double FAR = 64.0;
  * it.  They may differ by this part of the sum of the terms; and by UNSURE times what g changes by
  * where the state and the time are rounded. */
 enum { INSIDE = 15 };
+static const double BEFORE_SWITCH = 1.0 - 0x1p-20; /* where g may jump */
 static const double ALLOWED = 1e-8, UNSURE = 100.0, ROUNDED = 0x1p-50;
 
 struct dal__along {
@@ -160,9 +161,10 @@ static bool is_value(dal__along *self, const dal__piece *piece, double t, double
 
 static bool has_values(dal__along *self, const dal__piece *piece, double t, double units)
 {
+    const bool is_switch = self->at_switch < self->series->switches;
     for (int k = 1; self->series->is_doubtful && k <= INSIDE; k++)
         if (!is_value(self, piece, t, units * k / (INSIDE + 1.0))) return false;
-    return is_value(self, piece, t, units);
+    return is_value(self, piece, t, is_switch ? units * BEFORE_SWITCH : units);
 }
 
 /* ---- parts of the piece ------------------------------------------------------------------ */
