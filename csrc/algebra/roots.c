@@ -44,10 +44,10 @@ static signs signs_of(size_t order, const double *b, double noise)
 /* b[order + 1] <- the Bernstein coefficients in [0, 1]. */
 static void into_bernstein(size_t order, const double *c, double *b)
 {
-    double binomial = 1.0;
+    double per_binomial = 1.0;
     for (size_t k = 0; k <= order; k++) {
-        b[k] = c[k] / binomial;
-        binomial = binomial * (double)(order - k) / (double)(k + 1);
+        b[k] = c[k] * per_binomial;
+        per_binomial *= (double)(k + 1) / (double)(order - k);
     }
     for (size_t i = 1; i <= order; i++)
         for (size_t j = order; j >= i; j--) b[j] += b[j - 1];
@@ -67,22 +67,38 @@ static void halve(size_t order, interval *whole, interval *left)
     }
 }
 
-/* The zero in an interval where the sign changes once, from sign. */
+/* The polynomial and its slope, by Horner's sums of even and of odd powers. */
+static double value_at(size_t order, const double *c, double s, double *slope)
+{
+    const double square = s * s;
+    double parts[2] = {0.0}, slopes[2] = {0.0};
+    for (size_t k = order + 1; k-- > 0;) {
+        double *const part = &parts[k % 2], *const rate = &slopes[k % 2];
+        *rate = *rate * square + *part;
+        *part = *part * square + c[k];
+    }
+    *slope = 2.0 * s * (slopes[0] + s * slopes[1]) + parts[1];
+    return parts[0] + s * parts[1];
+}
+
+/* The zero in an interval where the sign changes once, from sign, by Newton's iteration.  The next
+ * step is about as long as this one is in parts of the one before, squared, in parts of itself. */
 static double zero_in(size_t order, const double *c, double low, double high, int sign)
 {
     enum { ITERATIONS = 100 };
-    double s = low + 0.5 * (high - low);
+    double s = low + 0.5 * (high - low), before = high - low;
     for (int k = 0; k < ITERATIONS; k++) {
-        double value = c[order], slope = 0.0;
-        for (size_t i = order; i-- > 0;) {
-            slope = slope * s + value;
-            value = value * s + c[i];
-        }
+        double slope;
+        const double value = value_at(order, c, s, &slope);
         if (sign * value > 0.0) low = s;
         else high = s;
         double next = s - value / slope;
-        if (!(next >= low && next <= high)) next = low + 0.5 * (high - low);
-        if (fabs(next - s) <= DAL_ROUNDOFF * fabs(s)) return next;
+        const bool leaves = !(next >= low && next <= high);
+        if (leaves) next = low + 0.5 * (high - low);
+        const double step = fabs(next - s), part = step / before;
+        if (step <= DAL_ROUNDOFF * s || (!leaves && k > 0 && step * part * part <= DAL_ROUNDOFF * s))
+            return next;
+        before = step;
         s = next;
     }
     return s;

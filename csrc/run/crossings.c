@@ -327,9 +327,8 @@ static int look_at_piece(const dal__piece *piece, double from, double to, void *
 {
     look *const self = ctx;
     dal_events *const e = self->events;
-    dal__watch watch = {.function = e->stepper->motion.watch, .ctx = e->stepper->motion.watch_ctx};
     const bool leaves_zero = self->leaves_zero;
-    int status = dal__along_look(e->along[self->event], piece, from, to, leaves_zero, &watch,
+    int status = dal__along_look(e->along[self->event], piece, from, to, leaves_zero, &e->watch,
                                  e->error);
     if (status) return status;
     const dal__found found = dal__along_found(e->along[self->event]);

@@ -443,6 +443,8 @@ static int prepare(dal_events *e, dal_run *run)
     e->times_done = run->times_done;
     e->happenings = e->resets = e->unscaled = 0;
     e->landed = false;
+    e->watch.function = motion->watch;
+    e->watch.ctx = motion->watch_ctx;
     memset(e->parts, 0, e->m * sizeof *e->parts);
     move(e, -e->shift, motion->x, e->begin);
     for (size_t i = 0; !status && !(same && e->valued) && i < e->count; i++) {

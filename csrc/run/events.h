@@ -67,6 +67,7 @@ struct dal_events {
     gsl_root_fsolver solver;
     size_t doubts, doubt_event;
     double doubt_t, doubt_g;
+    dal__watch watch;           /* that of the run */
     dal_error *error;
     arena arena;
 };

@@ -154,7 +154,7 @@ static bool is_value(dal__along *self, const dal__piece *piece, double t, double
     }
     if (!isfinite(sum) || !value_at(self, piece, s, 0.0, &value)) return false;
     const double difference = fabs(sum - value);
-    if (difference <= fmax(ALLOWED, exp2(0.5 * piece->log_tolerance)) * size) return true;
+    if (difference <= fmax(ALLOWED, sqrt(piece->tolerance)) * size) return true;
     return value_at(self, piece, s, ROUNDED, &moved)
         && difference <= UNSURE * fabs(moved - value);
 }
@@ -219,7 +219,7 @@ static int look_into(dal__along *self, const dal__piece *piece, double t, double
         c[k] = power * self->coefficients[(k + first) * self->series->width];
         rest += k > 0 ? fabs(c[k]) : 0.0;
     }
-    const double noise = exp2(piece->log_tolerance) * (fabs(c[0]) + rest);
+    const double noise = piece->tolerance * (fabs(c[0]) + rest);
     const double direction = leaves_zero && units < 0.0 ? -1.0 : 1.0;
     dal__sign_changes here = {.touch = (double)NAN};
     if (fabs(c[0]) - noise > rest) here.first = here.last = c[0] > 0.0 ? 1 : -1;

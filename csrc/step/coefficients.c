@@ -95,18 +95,41 @@ void dal__numbers_at(const dal__piece *piece, double s, double *y, double *low, 
     }
 }
 
+/* Coefficients about s instead of 0, of vectors in rows that are so many apart.  Horner's sums for
+ * one derivative after the other; four are led through the rows at once, each just behind the one
+ * before. */
+static void shift(size_t order, size_t apart, double s, dal_four *column)
+{
+    enum { AT_ONCE = 4 };
+    for (size_t first = 0; first < order; first += AT_ONCE) {
+        dal_four sum[AT_ONCE];
+        size_t k = order;
+        for (size_t i = 0; i < AT_ONCE; i++) sum[i] = column[order * apart];
+        while (k-- > first + AT_ONCE - 1) {
+            dal_four one = column[k * apart];
+#pragma GCC unroll 4
+            for (size_t i = 0; i < AT_ONCE; i++) one = sum[i] = one + s * sum[i];
+            column[k * apart] = one;
+        }
+        for (size_t last = AT_ONCE - 1; last-- > 0;) { /* where the later ones have ended */
+            if (first + last >= order) continue;
+            dal_four one = column[(first + last) * apart];
+            for (size_t i = 0; i <= last; i++) one = sum[i] = one + s * sum[i];
+            column[(first + last) * apart] = one;
+        }
+    }
+}
+
 void dal__write_about(const dal__piece *piece, double s, double unit, double *Y)
 {
-    const size_t width = piece->series->width, order = piece->order;
+    const size_t vectors = piece->series->width / 4, order = piece->order;
     const double ratio = unit / piece->unit;
+    dal_four *const rows = (dal_four *)Y;
     double power = 1.0;
-    memcpy(Y, piece->coefficients, (order + 1) * width * sizeof *Y);
-    for (size_t i = 0; s != 0.0 && i < order; i++)
-        for (size_t k = order; k-- > i;)
-            for (size_t c = 0; c < piece->series->states; c++)
-                Y[k * width + c] += s * Y[(k + 1) * width + c];
+    memcpy(Y, piece->coefficients, (order + 1) * vectors * sizeof *rows);
+    for (size_t c = 0; s != 0.0 && c < vectors; c++) shift(order, vectors, s, rows + c);
     for (size_t k = 1; ratio != 1.0 && k <= order; k++) {
         power *= ratio;
-        for (size_t c = 0; c < piece->series->states; c++) Y[k * width + c] *= power;
+        for (size_t c = 0; c < vectors; c++) rows[k * vectors + c] *= power;
     }
 }

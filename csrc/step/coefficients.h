@@ -48,7 +48,8 @@ static inline double dal__sum_with_low(double a, double *low, double b)
 typedef struct dal__piece {
     const dal_series *series;
     size_t order;
-    double t, end, unit, log_tolerance;
+    double t, end, unit;
+    double tolerance, log_tolerance;      /* of the coefficients; its log2 */
     const double *y, *low, *coefficients; /* [width], [width], [(order + 1)*width] */
     const double *input;
     const double *side, *crossed;         /* [switches], as in series.h */

@@ -239,6 +239,7 @@ static dal__piece piece_of(const taylor *self)
 {
     return (dal__piece){.series = self->series, .order = self->order, .t = self->t,
                         .end = self->end, .unit = self->unit,
+                        .tolerance = self->tolerance,
                         .log_tolerance = self->log_tolerance, .y = self->y, .low = self->low,
                         .coefficients = self->coefficients, .input = self->input,
                         .side = self->side, .crossed = self->crossed};

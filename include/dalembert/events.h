@@ -84,6 +84,22 @@ DAL_API void dal_events_save(const dal_events *events, double *values);
 DAL_API int dal_events_restore(dal_events *events, const double *values, size_t count,
                                dal_error *error);
 
+/* All events of a run, in the order of time: zero-initialise it but for n, and give dal_run
+ * dal_keep_event as `happened`, and it as `happened_ctx`. */
+typedef struct dal_kept_events {
+    size_t n;         /* coordinates */
+    size_t count, room;
+    size_t *event;    /* [count] the number of each */
+    double *t;        /* [count] its time */
+    double *x;        /* [count*4n] the state, and that after its reset, or NaN */
+} dal_kept_events;
+
+/* Returns < 0 if there is no memory; the run then fails with DAL_EUSER. */
+DAL_API int dal_keep_event(size_t event, size_t step, double t, const double *x,
+                           const double *after, void *kept);
+/* Frees the arrays, also after a failure. */
+DAL_API void dal_kept_events_free(dal_kept_events *kept);
+
 /* </cdef> */
 
 DAL_END_DECLARATIONS

@@ -49,8 +49,6 @@ extern "Python" int dal_py_control(size_t step, double t, const double *x, doubl
 extern "Python" int dal_py_event(double t, const double *x, double *g, void *ctx);
 extern "Python" int dal_py_reset(double t, double *x, void *ctx);
 extern "Python" int dal_py_law(double t, const double *x, double *values, void *ctx);
-extern "Python" int dal_py_happened(size_t event, size_t step, double t, const double *x,
-                                    const double *after, void *ctx);
 """
 
 # Macros whose values are no integers.

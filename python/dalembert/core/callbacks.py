@@ -302,12 +302,3 @@ def dal_py_law(t: float, x: Any, values: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     _write(values, call.law(t, *_halves(call, x)), call.values, "an expression")
     return 0
-
-
-@_watching()
-def dal_py_happened(event: int, step: int, t: float, x: Any, after: Any, ctx: Any) -> int:
-    call = _from_handle(ctx)
-    size = 2 * call.bytes
-    ends = _frombuffer(_buffer(after, size)[:]) if after else None
-    call.happened(event, t, _frombuffer(_buffer(x, size)[:]), ends)
-    return 0

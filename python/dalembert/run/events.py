@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -62,22 +62,25 @@ class Event:
     consistent: str = "check"
 
 
-@dataclass
+@dataclass(frozen=True)
 class Happened:
-    """The events of a run, in the order of time."""
+    """The events of a run, in the order of time.
+
+    Attributes
+    ----------
+    count : int
+        How many events there may be.
+    events, t : ndarray, shape (K,)
+        The number and the time of each.
+    x, after : ndarray, shape (K, 2n)
+        The states, and those after resets, NaN if there was none.
+    """
 
     count: int
-    events: list[int] = field(default_factory=list)
-    t: list[float] = field(default_factory=list)
-    x: list[Array] = field(default_factory=list)
-    after: list[Array | None] = field(default_factory=list)
-
-    def add(self, number: int, t: float, x: Array, after: Array | None) -> None:
-        """Append an event."""
-        self.events.append(number)
-        self.t.append(t)
-        self.x.append(x)
-        self.after.append(after)
+    events: Array
+    t: Array
+    x: Array
+    after: Array
 
 
 def take(given: Any) -> list[Event]:
@@ -145,7 +148,9 @@ class Watch:
         times: Array | None,
     ) -> None:
         self.events, self.times = list(events), times
-        self.happened = Happened(len(events))
+        self._happened = ffi.gc(
+            ffi.new("dal_kept_events *", {"n": system.n}), lib.dal_kept_events_free
+        )
         self.at = None if times is None else np.empty((len(times), 2 * system.n))
         rows = ffi.new("dal_event[]", max(len(events), 1))
         self._kept: list[Any] = []
@@ -158,11 +163,6 @@ class Watch:
         self.handle = core.make(
             "events", stepper, record, rows, len(events), owner=(stepper, self._kept)
         )
-        self.context = ffi.NULL
-        if events:
-            listener = core.Callables(system.n, system.m, happened=self.happened.add)
-            self.context = ffi.new_handle(listener)
-            self._kept.append(listener)
 
     def _fill(self, system: System, row: Any, one: Event, name: str, of: Any) -> None:
         """Write the event for C, with series along motions of a model."""
@@ -186,15 +186,27 @@ class Watch:
 
     def join(self, run: Any) -> None:
         """Connect the watch with a ``dal_run``."""
-        run.events, run.happened, run.happened_ctx = self.handle, lib.dal_py_happened, self.context
+        run.events = self.handle
+        run.happened, run.happened_ctx = ffi.addressof(lib, "dal_keep_event"), self._happened
         if self.times is not None:
             run.times, run.time_count = core.pointer(self.times), len(self.times)
             run.x_at_times = core.pointer(self.at, output=True)
 
     @property
+    def happened(self) -> Happened:
+        """The events so far."""
+        kept = self._happened
+        count, n = int(kept.count), int(kept.n)
+        states = core.doubles(kept.x, 4 * n * count).reshape(count, 2, 2 * n)
+        numbers = np.frombuffer(ffi.buffer(kept.event, 8 * count)[:], dtype=np.uintp)
+        return Happened(
+            len(self.events), numbers, core.doubles(kept.t, count), states[:, 0], states[:, 1]
+        )
+
+    @property
     def last(self) -> int:
         """Number of the last event."""
-        return self.happened.events[-1]
+        return int(self._happened.event[self._happened.count - 1])
 
     def doubts(self) -> Iterator[str]:
         """Yield messages about events that could not be decided."""
@@ -210,15 +222,10 @@ class Watch:
             )
 
 
-def split(happened: Happened, n: int) -> tuple[tuple[Array, ...], ...]:
+def split(happened: Happened) -> tuple[tuple[Array, ...], ...]:
     """Return times, states and states after resets of each event."""
-    found = []
-    for k in range(happened.count):
-        of = [i for i, event_ in enumerate(happened.events) if event_ == k]
-        t = np.array([happened.t[i] for i in of])
-        x = np.array([happened.x[i] for i in of]).reshape(-1, 2 * n)
-        none = np.full(2 * n, np.nan)
-        ends = [happened.after[i] if happened.after[i] is not None else none for i in of]
-        found.append((t, x, np.array(ends).reshape(-1, 2 * n)))
-    times, states, after = zip(*found) if found else ((), (), ())
-    return times, states, after
+    of = [happened.events == k for k in range(happened.count)]
+    return tuple(
+        tuple(np.ascontiguousarray(values[some]) for some in of)
+        for values in (happened.t, happened.x, happened.after)
+    )

@@ -297,7 +297,7 @@ class Journal:
             over = ended or done >= info.steps
             end = states["t"][-1] if ended else t0 + done * h
             words, rest = f"{done} steps" if over else f"{done} of {info.steps} steps", ""
-        happened = dict(zip(("t_events", "x_events", "x_after"), split(*self._events(records))))
+        happened = dict(zip(("t_events", "x_events", "x_after"), split(self._events(records))))
         return Solution(
             system=system, scheme=scheme, t0=t0, h=h, stride=stride, x=x, times=times,
             reactions=reactions,
@@ -327,17 +327,15 @@ class Journal:
         place = first[there] // hold - -(-(row[there] - 1) * stride // hold)
         return np.array(rows["input"][row[there], place])
 
-    def _events(self, records: Any) -> tuple[Happened, int]:
-        """Return the events in the form that `split` expects."""
-        found = Happened(int(self.info.events))
-        of_event = np.flatnonzero(records["kind"] >= lib.DAL_RECORD_EVENT)
-        for one in records[of_event]:
-            x = np.array(one["x"])
-            if one["kind"] == lib.DAL_RECORD_AFTER:
-                found.after[-1] = x
-            else:
-                found.add(int(one["number"]), float(one["t"]), x, None)
-        return found, int(self.info.n)
+    def _events(self, records: Any) -> Happened:
+        """Return the events in the records; one after a reset follows on that of its event."""
+        ends = np.flatnonzero(records["kind"] == lib.DAL_RECORD_AFTER)
+        found = np.flatnonzero(records["kind"] == lib.DAL_RECORD_EVENT)
+        x = np.array(records["x"][found])
+        after = np.full_like(x, np.nan)
+        after[np.searchsorted(found, ends) - 1] = records["x"][ends]
+        numbers, times = np.array(records["number"][found]), np.array(records["t"][found])
+        return Happened(int(self.info.events), numbers, times, x, after)
 
 
 def _goes_on(errors: str | None) -> int:

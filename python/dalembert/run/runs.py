@@ -296,7 +296,7 @@ class Run:
         happened: dict[str, Any] = {}
         if self.watch is not None:
             names = ("t_events", "x_events", "x_after")
-            happened = dict(zip(names, split(self.watch.happened, self.system.n)))
+            happened = dict(zip(names, split(self.watch.happened)))
             if run.ended:
                 t = run.t_end
                 if not self.varies:
