@@ -1,7 +1,7 @@
 /* A motion and its derivatives, along the pieces of its Taylor series.
  *
- * A lane has the numbers of a column, or for second derivatives of a pair of columns; four lanes
- * are a block, which is computed at once.  The motion has the bits that it has without them. */
+ * A lane has the numbers of a column, or for second derivatives of a pair of columns; four
+ * lanes are a block, which is computed at once.  The motion has the bits that it has without them. */
 #include "dalembert/taylor.h"
 #include "step/taylor.h"
 
@@ -31,7 +31,7 @@ struct dal_taylor_variations {
     double *lane, *values;          /* [numbers], [3n] of one lane */
     double *about, *work;
     dal_four *all, *before;         /* [blocks*numbers]: now, and before a call */
-    dal_four *Y, *moved;            /* [(order + 1)*width], [width] */
+    dal_four *Y;                   /* [(order + 1)*width] */
     double *none;                   /* [switches] zeros */
     double *side, *rate;            /* [switches], [width] where the piece before ends */
     bool follows;                   /* there is a piece before */
@@ -82,7 +82,7 @@ static int allocate(dal_taylor_variations **made, dal_stepper *stepper, size_t c
                                    .lanes = is_second ? pairs : columns,
                                    .states = series->states,
                                    .others = series->parameters + series->inputs}, *self;
-    double *all, *before, *Y, *moved;
+    double *all, *before, *Y;
     shape.blocks = (shape.lanes + FOUR - 1) / FOUR;
     shape.numbers = is_second ? 3 * shape.states + 2 * shape.others : shape.states + shape.others;
     arena a = {0};
@@ -98,7 +98,6 @@ static int allocate(dal_taylor_variations **made, dal_stepper *stepper, size_t c
     DAL__RESERVE(&a, rows * series->room + spare, &shape.work);
     DAL__RESERVE(&a, dal__times(FOUR * shape.numbers, shape.blocks) + spare, &all, &before);
     DAL__RESERVE(&a, rows * FOUR * series->width + spare, &Y);
-    DAL__RESERVE(&a, FOUR * series->width + spare, &moved);
     const int status = dal__allocate(&a, error);
     if (status) return status;
     *self = shape;
@@ -111,7 +110,6 @@ static int allocate(dal_taylor_variations **made, dal_stepper *stepper, size_t c
     self->all = (dal_four *)dal__aligned(all);
     self->before = (dal_four *)dal__aligned(before);
     self->Y = (dal_four *)dal__aligned(Y);
-    self->moved = (dal_four *)dal__aligned(moved);
     if (!is_second) self->d2x = NULL;
     *made = self;
     return DAL_SUCCESS;
@@ -326,22 +324,20 @@ static int lead_block(dal_taylor_variations *self, const dal__piece *piece, size
                       double from, double to)
 {
     enum { MOST = 1000 }; /* parts; there are few, unless columns are nearly out of range */
-    const size_t width = self->series->width, order = piece->order;
-    const size_t moving = self->series->order == 1 ? self->states : 3 * self->states;
+    const size_t order = piece->order;
     dal_four *const columns = self->all + block * self->numbers;
     for (int part = 0; from != to; part++) {
         double decay[DAL_SERIES_LAST];
         come_to(self, piece, from);
         expand(self, piece, from, block);
-        dal_series_decay(FOUR * width, order, (const double *)self->Y, decay);
+        self->series->decay(order, self->Y, decay);
         const double units = STRETCHED * dal__units_of(decay, order, piece->log_tolerance);
         const double rest = (to - from) / piece->unit, parts = ceil(fabs(rest) / units);
         if (isnan(units) || part == MOST)
             return dal__fail(&self->error, DAL_EDOMAIN, "the derivatives are not finite after t = "
                              "%.17g", from);
         const double s = parts > 1.0 ? rest / parts : rest;
-        dal_series_sum(FOUR * width, order, s, (const double *)self->Y, (double *)self->moved);
-        for (size_t i = 0; i < moving; i++) columns[i] += self->moved[i];
+        self->series->lead(order, s, self->Y, columns);
         from = parts > 1.0 ? from + s * piece->unit : to;
     }
     return DAL_SUCCESS;

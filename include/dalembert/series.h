@@ -104,6 +104,9 @@ typedef struct dal_variation_series {
      * columns[numbers].  work[(order + 1)*room].  All are aligned to 64. */
     void (*expand)(const dal_series_at *at, size_t order, const double *states, size_t y_width,
                    const dal_four *columns, dal_four *Y, double *work, const void *p);
+    /* As those of dal_series, of all four; the columns of states change by their polynomials. */
+    void (*decay)(size_t order, const dal_four *Y, double *decay);
+    void (*lead)(size_t order, double s, const dal_four *Y, dal_four *columns);
     /* values <- the derivatives of v[n] in each direction; of w[states - n], from those of x[2n],
      * parameters and inputs in one direction. */
     void (*velocity)(double t, const double *y, const double *u, const double *columns,
@@ -189,6 +192,36 @@ DAL_LU_INLINE void dal_series_middle(size_t k, size_t vectors, const dal_four *A
     size_t c = 0;
     for (; c + 4 <= vectors; c += 4) dal_series_part(k, vectors, 4, A + c, B + c, M + c);
     if (vectors % 4) dal_series_part(k, vectors, vectors % 4, A + c, B + c, M + c);
+}
+
+/* The same with factors A that all four share. */
+DAL_LU_INLINE void dal_series_shared_part(size_t k, size_t vectors, size_t count, const double *A,
+                                          const dal_four *B, dal_four *M)
+{
+    dal_four sum[4] = {{0.0}}, other[4] = {{0.0}};
+    size_t j = k / 2, i = k - j;
+    if (i == j) {
+#pragma GCC unroll 4
+        for (size_t c = 0; c < count; c++) sum[c] = A[j * vectors + c] * B[j * vectors + c];
+        j--, i++;
+    }
+    for (; j > 0; j--, i++) {
+#pragma GCC unroll 4
+        for (size_t c = 0; c < count; c++) {
+            sum[c] += A[j * vectors + c] * B[i * vectors + c];
+            other[c] += A[i * vectors + c] * B[j * vectors + c];
+        }
+    }
+#pragma GCC unroll 4
+    for (size_t c = 0; c < count; c++) M[c] = sum[c] + other[c];
+}
+
+DAL_LU_INLINE void dal_series_shared(size_t k, size_t vectors, const double *A, const dal_four *B,
+                                     dal_four *M)
+{
+    size_t c = 0;
+    for (; c + 4 <= vectors; c += 4) dal_series_shared_part(k, vectors, 4, A + c, B + c, M + c);
+    if (vectors % 4) dal_series_shared_part(k, vectors, vectors % 4, A + c, B + c, M + c);
 }
 
 DAL_LU_INLINE void dal_series_sum(size_t width, size_t order, double s, const double *Y,

@@ -39,13 +39,15 @@ class Writer:
         self.has_wide = bool(wide)
         self._wide = mask_of(e for e in series.nodes if e.op == "symbol" and e.value in wide)
         self._number = {e: i for i, e in enumerate(series.nodes)}
-        wide_pairs = [pair for pair in series.pairs if any(map(self.is_wide, _nodes_of(pair)))]
-        pairs = [pair for pair in series.pairs if pair not in wide_pairs]
-        self.vectors, self.wide_vectors = len(pairs) if four else -(-len(pairs) // 4), len(wide_pairs)
-        self._pairs, self._wide_pairs = pairs, wide_pairs
+        groups: list[list[Pair]] = [[], [], []]
+        for pair in series.pairs:
+            groups[self.is_wide(pair[0][0]) + self.is_wide(pair[1][0])].append(pair)
+        self._pairs, self.shared, self.both_wide = groups
+        self.vectors = len(self._pairs) if four else -(-len(self._pairs) // 4)
         place = "vectors" if four else "at"
-        self._middle = {pair: f"M.{place}[{i}]" for i, pair in enumerate(pairs)}
-        self._middle |= {pair: f"N[{i}]" for i, pair in enumerate(wide_pairs)}
+        names = (f"M.{place}", "N", "P")
+        self._middle = {pair: f"{name}[{i}]" for name, group in zip(names, groups)
+                        for i, pair in enumerate(group)}  # fmt: skip
         columns = len(self._columns())
         self.width = columns if self.has_wide else -(-columns // 4) * 4
         self._low: dict[Node, str | None] = {}
@@ -68,7 +70,7 @@ class Writer:
         """Return the text of a number of e, or 0, as one of the type of another node."""
         if text is None:
             return self.zero(to)
-        return self.as_four(text, e) if self.is_wide(to) else text
+        return self.as_wide(text, e) if self.is_wide(to) else text
 
     def lines(self) -> list[str]:
         """Return all statements."""
@@ -98,10 +100,10 @@ class Writer:
     def _cell(self, text: str | None, e: Node) -> str:
         """Return the text of a coefficient, or 0, as a number of a row."""
         if self.has_wide:
-            return "zero" if text is None else self.as_four(text, e)
+            return "zero" if text is None else self.as_wide(text, e)
         return text or self.zero(e)
 
-    def as_four(self, text: str, e: Node) -> str:
+    def as_wide(self, text: str, e: Node) -> str:
         return text if self.is_wide(e) else f"DAL_SERIES_ALL({text})"
 
     def _row(self, order: str, coefficients: Sequence[str]) -> list[str]:
@@ -326,9 +328,13 @@ class Writer:
             numbers = "" if self.four else f" double at[{4 * self.vectors}];"
             found.append(f"union {{ dal_four vectors[{self.vectors}];{numbers} }} M;")
             found.append(f"dal_series_middle(k, {self.vectors}, A, B, M.vectors);")
-        if self.wide_vectors:
-            found.append(f"dal_four N[{self.wide_vectors}];")
-            found.append(f"dal_series_middle(k, {self.wide_vectors}, C, D, N);")
+        for name, arrays, count, function in (
+            ("N", "C, D", len(self.shared), "dal_series_shared"),
+            ("P", "E, F", len(self.both_wide), "dal_series_middle"),
+        ):
+            if count:
+                found.append(f"dal_four {name}[{count}];")
+                found.append(f"{function}(k, {count}, {arrays}, {name});")
         for i, x in enumerate(series.states):
             if series.degree[x] > 0:
                 text = f"DAL_SERIES_OVER(d{i}, exact, divisor, factor)"
@@ -342,10 +348,10 @@ class Writer:
                 text = one if is_linear else self._order(e)
                 found.append(f"const {self.type_of(e)} c{self._number[e]} = {text};")
         found += self._row("k", [self._cell(self.kth(e), e) for e in self._columns()])
-        for name, side in (("C", 0), ("D", 1)):
-            for c, pair in enumerate(self._wide_pairs):
-                text = self.as_four(self._operand(pair[side]), pair[side][0])
-                found.append(f"{name}[k * {self.wide_vectors} + {c}] = {text};")
+        for names, group in (("CD", self.shared), ("EF", self.both_wide)):
+            for c, pair in enumerate(group):
+                for name, operand in zip(names, sorted(pair, key=lambda x: self.is_wide(x[0]))):
+                    found.append(f"{name}[k * {len(group)} + {c}] = {self._operand(operand)};")
         for name, side in (("A", 0), ("B", 1)):
             operands = [self._operand(pair[side]) for pair in self._pairs]
             if not self.four:
@@ -438,10 +444,6 @@ class Writer:
             return f"{sign}DAL_SERIES_OVER({before}, exact, number, inverse)"
         rest = f"DAL_SERIES_OVER({M[0]}, exact, number, inverse)"
         return f"{sign}({k[0]} * {self._part(other)} + {rest})"
-
-
-def _nodes_of(pair: Pair) -> tuple[Node, Node]:
-    return pair[0][0], pair[1][0]
 
 
 _NAME = re.compile(r"[A-Za-z_]\w*")

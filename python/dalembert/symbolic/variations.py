@@ -63,16 +63,19 @@ def variations(made: Program, model: Model, motion: Motion, order: int) -> None:
     time, p, u = read(TIME), [*map(read, model.p)], [*map(read, model.u)]
     known, low = places({"p": p, "u": u, "y": at.y}, time, "p[{}]", "at->{}")
     writer = Writer(series, known | wide, low, wide=wide)
-    room = 8 * writer.vectors + 8 * writer.wide_vectors
+    shared, both = len(writer.shared), len(writer.both_wide)
+    room = 8 * (writer.vectors + shared + both)
     made.add("#ifdef __GNUC__")
     made.add(
-        _EXPAND.format(narrow=writer.vectors, wide=writer.wide_vectors)
+        _EXPAND.format(narrow=writer.vectors, shared=shared, both=both)
         + "    const double *const p = parameters, unit = at->unit;\n"
         "    const dal_four zero = {0.0};\n"
-        "    (void)p, (void)A, (void)B, (void)C, (void)D, (void)zero, (void)states, (void)y_width;"
+        "    (void)p, (void)A, (void)B, (void)C, (void)D, (void)E, (void)F, (void)zero;\n"
+        "    (void)states, (void)y_width;"
     )
     made.lines += [f"    {line}" for line in writer.lines()]
     made.add("}\n")
+    made.add(_LEAD.format(width=writer.width, moving=len(states)))
     velocity = [e for each in at.of_states(motion.velocity) for e in each]
     _values(made, "velocity_along", "y", velocity, columns, at.y, model)
     direction = dict(zip([*at.x, *at.z], [*at.at_x, *at.others[0]]))
@@ -82,7 +85,8 @@ def variations(made: Program, model: Model, motion: Motion, order: int) -> None:
     made.add(
         "static const dal_variation_series model_variations = {\n"
         f"    DAL_SERIES_ABI, {', '.join(map(str, sizes))},\n"
-        "    model_vary, model_velocity_along, model_quasi_along};\n"
+        "    model_vary, model_decay_of_four, model_lead, model_velocity_along,\n"
+        "    model_quasi_along};\n"
         "#define MODEL_VARIATIONS &model_variations\n#else\n#define MODEL_VARIATIONS NULL\n#endif\n"
     )
 
@@ -144,6 +148,22 @@ _EXPAND = """static void model_vary(const dal_series_at *at, size_t order, const
                        size_t y_width, const dal_four *columns, dal_four *Y, double *work,
                        const void *parameters)
 {{
-    dal_four *const A = (dal_four *)work, *const B = A + (order + 1) * {narrow};
-    dal_four *const C = B + (order + 1) * {narrow}, *const D = C + (order + 1) * {wide};
+    const size_t rows = order + 1;
+    dal_four *const D = (dal_four *)work, *const E = D + rows * {shared};
+    dal_four *const F = E + rows * {both};
+    dal_four *const A = (dal_four *)(F + rows * {both}), *const B = A + rows * {narrow};
+    double *const C = (double *)(B + rows * {narrow});
+"""
+
+_LEAD = """static void model_decay_of_four(size_t order, const dal_four *Y, double *decay)
+{{
+    dal_series_decay(4 * {width}, order, (const double *)Y, decay);
+}}
+
+static void model_lead(size_t order, double s, const dal_four *Y, dal_four *columns)
+{{
+    dal_four change[{width}];
+    dal_series_sum(4 * {width}, order, s, (const double *)Y, (double *)change);
+    for (size_t i = 0; i < {moving}; i++) columns[i] += change[i];
+}}
 """
