@@ -3,4 +3,5 @@
 from .embeddings import Embedding, embedding
 from .recommendation import Recommendation, Tried, recommend
 from .refinement import convergence, studies
+from .section import Orbit, Return, Section, section
 from .study import Fit, Studies, Study
