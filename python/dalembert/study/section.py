@@ -30,6 +30,7 @@ from ..system import System
 _ITERATIONS, _HALVINGS, _TO_SECTION = 50, 8, 4
 _CLOSE = 1e-12  # of an orbit, relative to the size of the state
 _NEARBY = 1e-8  # so near a section, relative to the size of the state, a start is in it
+_AT_REST = 1e-9  # a rate, relative to the size of the state
 _RANK = 1e-9  # singular values below belong to families of orbits
 
 
@@ -166,6 +167,7 @@ class Section:
             size = 1.0 + np.linalg.norm(here.x[self._returning])
             better = None if here.residual <= ROUNDOFF * size else newton.improved(here)
             if better is None and here.residual <= _CLOSE * size:
+                self._require_motion(here.x, float(t))
                 multipliers = self._multipliers(here.x, here.end, float(t))
                 return Orbit(
                     here.end.t - t, here.x[:n], here.x[n:], multipliers, here.residual, k
@@ -177,6 +179,16 @@ class Section:
             f"no periodic orbit after {k} iterations: the state is {here.residual:.2g} from its "
             "return; begin nearer to an orbit, or name the numbers that return"
         )
+
+    def _require_motion(self, x: Array, t: float) -> None:
+        """Raise ConvergenceError if the numbers that return do not change."""
+        rates = self.system.field(*np.split(x, 2), t)[self._returning]
+        size = 1.0 + np.linalg.norm(x[self._returning])
+        if np.linalg.norm(rates) <= _AT_REST * size:
+            raise ConvergenceError(
+                "the iteration leads to an equilibrium, where the numbers that return do not "
+                "change; begin farther from it"
+            )
 
     # ---- one return --------------------------------------------------------------------------
 
