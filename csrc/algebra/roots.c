@@ -128,7 +128,8 @@ void dal__find_sign_changes(size_t order, const double *c, double noise,
     while (depth > 0) {
         interval *const part = &stack[depth - 1];
         const signs of = signs_of(order, part->b, noise);
-        if ((of.changes > 1 || of.touches) && part->width > LEAST_WIDTH) {
+        const bool is_sure = of.changes == 0 || (of.changes == 1 && !of.begins && !of.ends);
+        if ((!is_sure || of.touches) && part->width > LEAST_WIDTH) {
             halve(order, part, part + 1);
             depth++;
             continue;

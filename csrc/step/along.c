@@ -19,6 +19,9 @@ enum { INSIDE = 15 };
 static const double BEFORE_SWITCH = 1.0 - 0x1p-20; /* where g may jump */
 static const double ALLOWED = 1e-8, UNSURE = 100.0, ROUNDED = 0x1p-50;
 
+/* Parts that are shorter, in parts of the piece, lead to where g has no series. */
+static const double GAP = 0x1p-30;
+
 struct dal__along {
     const dal_event *event;
     const dal_event_series *series;
@@ -26,7 +29,7 @@ struct dal__along {
     double *y, *low, *change, *x;   /* [width], [width], [width], [2n] */
     double *about, *coefficients, *work;
     double *side, *crossed;         /* [switches], as those of a motion */
-    double unit;                    /* of the coefficients */
+    double unit, next_unit;         /* of the coefficients, and of those of the next part */
     size_t at_switch;               /* at which the part ends, or the number of switches */
     dal__found found;
     double *t;                      /* [room] */
@@ -169,13 +172,16 @@ static bool has_values(dal__along *self, const dal__piece *piece, double t, doub
 
 /* ---- parts of the piece ------------------------------------------------------------------ */
 
-/* How many units the part from t has, at most those given; 0 if g has no series there. */
+/* How many units the part from t has, at most those given; 0 if g has no series there, or they lead
+ * less far than `least`. */
 static double limit(dal__along *self, const dal__piece *piece, double t, double direction,
-                    double most)
+                    double most, double least)
 {
-    enum { HALVINGS = 50 };
     const dal_event_series *const of = self->series;
     double units = expand_at(self, piece, t, direction);
+    const double allowed = fmin(units * self->unit, piece->unit);
+    self->next_unit = allowed < piece->unit && allowed > 0.0 ? dal__power_of_2(allowed)
+                                                             : piece->unit;
     units = fmin(fmin(units, of->is_doubtful ? LONGEST_IN_DOUBT : LONGEST), most / self->unit);
     const dal__columns columns = {.first = self->coefficients, .next = of->width,
                                   .order = piece->order, .direction = direction};
@@ -187,11 +193,11 @@ static double limit(dal__along *self, const dal__piece *piece, double t, double 
                                                 (size_t)self->crossed[i], units);
         if (change < units) self->at_switch = i, units = change;
     }
-    for (int k = 0; k < HALVINGS; k++, units *= 0.5) {
+    for (;; units *= 0.5) {
         if (units == 0.0 || has_values(self, piece, t, direction * units)) return units;
         self->at_switch = of->switches;
+        if (units * self->unit < least) return 0.0;
     }
-    return 0.0;
 }
 
 static int add(dal__along *self, double t, dal_error *error)
@@ -251,6 +257,29 @@ static int fail_to_expand(double t, dal_error *error)
     return dal__fail(error, DAL_EDOMAIN, "the event has no Taylor series at t = %.17g", t);
 }
 
+/* Where g has no series, as at the end of a root, a gap is passed over: the signs of g at both ends
+ * are compared.  DAL_EDOMAIN if g is not finite there. */
+static int pass(dal__along *self, const dal__piece *piece, double t, double end, dal_error *error)
+{
+    double before = t, after = end, low, high;
+    if (!value_at(self, piece, (t - piece->t) / piece->unit, 0.0, &low)
+        || !value_at(self, piece, (end - piece->t) / piece->unit, 0.0, &high))
+        return fail_to_expand(t, error);
+    const int side = self->found.last != 0 ? self->found.last : (low > 0.0) - (low < 0.0);
+    const int other = (high > 0.0) - (high < 0.0);
+    if (self->found.first == 0) self->found.first = side;
+    self->found.last = other != 0 ? other : side;
+    if (side * other >= 0) return DAL_SUCCESS;
+    for (;;) {
+        const double middle = before + 0.5 * (after - before);
+        double value;
+        if (middle == before || middle == after) return add(self, after, error);
+        if (value_at(self, piece, (middle - piece->t) / piece->unit, 0.0, &value)
+            && value * side > 0.0) before = middle;
+        else after = middle;
+    }
+}
+
 static void begin(dal__along *self, const dal__piece *piece)
 {
     self->unit = piece->unit;
@@ -263,24 +292,37 @@ int dal__along_look(dal__along *self, const dal__piece *piece, double from, doub
                     bool leaves_zero, dal__watch *watch, dal_error *error)
 {
     const double direction = to < from ? -1.0 : 1.0;
+    const double least = GAP * fabs(piece->end - piece->t);
+    double gap = least;  /* gaps in a row become wider */
     size_t standing = 0; /* parts without length, one after the other */
     begin(self, piece);
     for (double t = from; t != to;) {
         int status = dal__ask(watch, t, error);
         if (status) return status;
-        const double units = limit(self, piece, t, direction, fabs(to - t));
-        const double ahead = t + direction * units * self->unit;
-        const double end = units * self->unit >= fabs(to - t) ? to : ahead;
-        if (end == t) {
-            if (self->at_switch == self->series->switches
-                || ++standing > 2 * self->series->switches) return fail_to_expand(t, error);
+        const double units = limit(self, piece, t, direction, fabs(to - t), least);
+        double end = units * self->unit >= fabs(to - t) ? to : t + direction * units * self->unit;
+        const bool is_switch = self->at_switch < self->series->switches;
+        if (end == t && is_switch && ++standing <= 2 * self->series->switches) {
             cross(self, false);
             continue;
         }
+        const bool is_gap = end == t || (fabs(end - t) < least && end != to && !is_switch);
         standing = 0;
-        status = look_into(self, piece, t, direction * units, leaves_zero && t == from, error);
+        if (is_gap) {
+            const double length = fmax(gap, 64.0 * DAL_ROUNDOFF * fabs(t));
+            end = length >= fabs(to - t) ? to : t + direction * length;
+            gap *= 2.0;
+            self->next_unit = piece->unit;
+            self->at_switch = self->series->switches;
+            dal__clear(self->series->switches, self->side);
+            status = pass(self, piece, t, end, error);
+        } else {
+            gap = least;
+            status = look_into(self, piece, t, direction * units, leaves_zero && t == from, error);
+        }
         if (status) return status;
         cross(self, true);
+        self->unit = self->next_unit;
         t = end;
     }
     return DAL_SUCCESS;
