@@ -25,10 +25,11 @@
  *
  * This header has systems, schemes, steppers and simple runs.  In the folder dalembert,
  * inspect.h has the properties of systems and schemes; stepper.h diagnostics and saved states;
- * run.h runs with inputs and output times; events.h the events of runs; journal.h files of runs
- * that can be resumed; ensemble.h many runs at once; geometry.h the mechanics on D and the
- * reference flow; discrete.h discrete mechanics; deformation.h deformed systems; study.h
- * measured orders; family.h the interface for your own steps. */
+ * run.h runs with inputs and output times; events.h the events of runs; taylor.h dense output and
+ * derivatives; journal.h files of runs that can be resumed; ensemble.h many runs at once;
+ * geometry.h the mechanics on D and the reference flow; discrete.h discrete mechanics;
+ * deformation.h deformed systems; study.h measured orders; family.h the interface for your own
+ * steps. */
 #ifndef DALEMBERT_H
 #define DALEMBERT_H
 

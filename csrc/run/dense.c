@@ -4,6 +4,7 @@
 #include "step/taylor.h"
 
 #include <stdlib.h>
+#include <string.h>
 
 struct dal_taylor_dense {
     dal__polynomials pieces;
@@ -38,10 +39,19 @@ void dal_taylor_dense_free(dal_taylor_dense *dense)
     free(dense);
 }
 
+/* Whether two steppers have the same scheme, and systems with the same parameters. */
+static bool are_alike(const dal_stepper *one, const dal_stepper *other)
+{
+    const dal_system_def *const a = &one->motion.system->def, *const b = &other->motion.system->def;
+    return one->identity == other->identity && a->series == b->series
+        && a->ctx_size == b->ctx_size
+        && (a->ctx_size == 0 ? a->ctx == b->ctx : memcmp(a->ctx, b->ctx, a->ctx_size) == 0);
+}
+
 int dal_taylor_keep(dal_stepper *stepper, dal_taylor_dense *dense)
 {
     if (!stepper) return DAL_EINVAL;
-    if (dense && dense->stepper->identity != stepper->identity)
+    if (dense && !are_alike(dense->stepper, stepper))
         return dal__fail(&stepper->error, DAL_EINVAL, "dense belongs to another system or scheme");
     if (dense) dense->pieces.count = 0;
     stepper->motion.kept = dense ? &dense->pieces : NULL;

@@ -34,6 +34,8 @@ struct dal_taylor_variations {
     dal_four *Y;                   /* [(order + 1)*width] */
     double *none;                   /* [switches] zeros */
     double *side, *rate;            /* [switches], [width] where the piece before ends */
+    double *acceleration;           /* [n] at t, of the motion before it */
+    double direction;               /* of the last call */
     bool follows;                   /* there is a piece before */
     bool started;
     dal_error error;
@@ -63,6 +65,9 @@ static int check(const dal_stepper *stepper, int order, size_t columns, dal_erro
         return dal__fail(error, DAL_EINVAL, "variations: number %u, expected %u; compile the "
                          "system with this version of series.h", def->variations->abi,
                          DAL_SERIES_ABI);
+    if (!def->series->in_D && def->m > 0)
+        return dal__fail(error, DAL_EUNSUPPORTED, "derivatives of the system \"%s\" are not "
+                         "supported: no equations on D in closed form are known", def->name);
     if (def->driven)
         return dal__fail(error, DAL_EUNSUPPORTED, "derivatives of motions whose constraints depend "
                          "on inputs are not supported");
@@ -92,6 +97,7 @@ static int allocate(dal_taylor_variations **made, dal_stepper *stepper, size_t c
     DAL__RESERVE(&a, is_second ? dal__times(pairs, 2 * def->n) : 0, &shape.d2x);
     DAL__RESERVE(&a, motion->width + spare, &shape.y, &shape.low, &shape.change, &shape.rate);
     DAL__RESERVE(&a, shape.numbers + 2 * def->n, &shape.lane);
+    DAL__RESERVE(&a, def->n, &shape.acceleration);
     DAL__RESERVE(&a, 3 * def->n + shape.states, &shape.values);
     DAL__RESERVE(&a, motion->switches, &shape.none, &shape.side);
     DAL__RESERVE(&a, rows * motion->width + spare, &shape.about);
@@ -260,7 +266,7 @@ int dal_taylor_variations_start(dal_taylor_variations *variations, double t, con
     if (status) return status;
     const dal_motion *const motion = &self->stepper->motion;
     const size_t S = self->states, Z = self->others;
-    self->started = false;
+    self->started = self->follows = false;
     status = dal_stepper_start(self->stepper, t, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE);
     if (status) return dal__fail_because(&self->error, status, &self->stepper->error, "%s", "");
     memcpy(self->x, motion->x, 2 * self->n * sizeof *self->x);
@@ -285,6 +291,7 @@ int dal_taylor_variations_start(dal_taylor_variations *variations, double t, con
         write_lane(self, lane);
     }
     give_columns(self, t);
+    dal__forget(self->n, self->acceleration);
     self->started = true;
     return DAL_SUCCESS;
 }
@@ -389,12 +396,25 @@ static int follow(dal_taylor_variations *self, const dal__piece *piece)
     int status = DAL_SUCCESS;
     for (size_t i = 0; !status && self->follows && i < piece->series->switches; i++)
         if (piece->side[i] * self->side[i] < 0.0) status = cross(self, piece, i);
-    dal__copy(piece->series->switches, piece->side, self->side);
-    piece->series->slope(piece->order, (piece->end - piece->t) / piece->unit, piece->coefficients,
-                         self->rate);
-    for (size_t i = 0; i < piece->series->width; i++) self->rate[i] /= piece->unit;
-    self->follows = true;
     return status;
+}
+
+/* What the piece leaves to the next one, from a time on; and the rate of v there, before a jump if
+ * there is one. */
+static void leave(dal_taylor_variations *self, const dal__piece *piece, double t)
+{
+    const double s = (t - piece->t) / piece->unit;
+    const double *const Y = piece->coefficients;
+    dal__copy(piece->series->switches, piece->side, self->side);
+    piece->series->slope(piece->order, s, Y, self->rate);
+    for (size_t i = 0; i < piece->series->width; i++) self->rate[i] /= piece->unit;
+    for (size_t i = 0; i < self->n; i++) {
+        double sum = 0.0;
+        for (size_t k = piece->order; k > 1; k--)
+            sum = sum * s + (double)(k * (k - 1)) * Y[k * piece->series->width + i];
+        self->acceleration[i] = sum / piece->unit / piece->unit;
+    }
+    self->follows = true;
 }
 
 /* ---- going on ------------------------------------------------------------------------------ */
@@ -405,6 +425,7 @@ static int lead(const dal__piece *piece, double from, double to, void *ctx)
     int status = follow(self, piece);
     for (size_t b = 0; !status && b < self->blocks; b++)
         status = lead_block(self, piece, b, from, to);
+    if (!status) leave(self, piece, to);
     if (status || to != self->until) return status;
     status = dal__taylor_state(self->stepper, piece, to, self->moved_x);
     if (status) return dal__fail_because(&self->error, status, &self->stepper->error, "%s", "");
@@ -426,8 +447,10 @@ int dal_taylor_variations_go(dal_taylor_variations *variations, double t_end, da
     if (t_end == self->t) return DAL_SUCCESS;
     int status = dal_stepper_start(stepper, self->t, t_end - self->t, self->x, DAL_ASSUME,
                                    DAL_INITIAL_NONE);
+    const double direction = t_end > self->t ? 1.0 : -1.0;
     memcpy(self->before, self->all, size);
-    self->follows = false;
+    self->follows = self->follows && direction == self->direction;
+    self->direction = direction;
     self->until = t_end;
     stepper->motion.watch = watch;
     stepper->motion.watch_ctx = ctx;
@@ -435,6 +458,7 @@ int dal_taylor_variations_go(dal_taylor_variations *variations, double t_end, da
     stepper->motion.watch = NULL;
     if (status) {
         memcpy(self->all, self->before, size);
+        self->follows = false;
         return self->error.status ? status
             : dal__fail_because(&self->error, status, &stepper->error, "%s", "");
     }
@@ -459,6 +483,11 @@ double dal_taylor_variations_time(const dal_taylor_variations *variations)
 const double *dal_taylor_variations_state(const dal_taylor_variations *variations)
 {
     return variations->x;
+}
+
+const double *dal_taylor_variations_acceleration(const dal_taylor_variations *variations)
+{
+    return variations->acceleration;
 }
 
 const double *dal_taylor_variations_columns(const dal_taylor_variations *variations)

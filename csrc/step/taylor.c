@@ -464,10 +464,20 @@ static bool solves_at(taylor *self, const dal_motion *motion, double t, double u
     return has_slopes(self, t, unit);
 }
 
+/* Whether the polynomial may not be that of the motion, though it is so at its end: powers have no
+ * series where a switch is zero. */
+static bool is_in_doubt(const taylor *self)
+{
+    bool found = self->series->is_doubtful;
+    for (size_t i = 0; i < self->series->switches; i++) found = found || self->crossed[i] != 0.0;
+    return found;
+}
+
 /* The same at places inside the piece, if there is doubt. */
 static bool solves_inside(taylor *self, const dal_motion *motion)
 {
-    for (int k = 1; self->series->is_doubtful && k <= INSIDE; k++) {
+    const bool in_doubt = is_in_doubt(self);
+    for (int k = 1; in_doubt && k <= INSIDE; k++) {
         const double part = (double)k / (INSIDE + 1.0);
         const double t = self->t + part * (self->end - self->t);
         if (!solves_at(self, motion, t, self->unit, 1)) return false;

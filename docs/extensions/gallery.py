@@ -12,7 +12,7 @@ ORDER = [
     "reversing_trailers", "ball_on_turntable", "bouncing_sleigh", "driven_robot", "environment",
     "which_wall", "uncertain_car", "swept_step", "many_skates", "killed_run",
     "order", "kept_nodes", "order_lost", "long_runs", "two_maps",
-    "embedding", "deformed", "exact_constraints", "charts",
+    "embedding", "deformed", "exact_constraints", "charts", "poincare_sections",
 ]  # fmt: skip
 
 
@@ -107,6 +107,11 @@ SHOWN = {
         "it shows the velocity and the disc of velocities that the constraint allows.",
         "Residuals of a run of midpoint over time: roundoff for D, between 1e-2 and 1e-4 for "
         "D_ε.",
+    ],
+    "poincare_sections": [
+        "Left, a section of the contact oscillator: islands around periodic orbits in a sea of "
+        "chaotic points. Right, a section of the rattleback: a cloud of points, dense along an "
+        "arc.",
     ],
     "reversing_trailers": [
         "A car pushes a trailer; above, with straight wheels, they fold up after a few metres; "

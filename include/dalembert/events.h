@@ -3,6 +3,8 @@
  * An event happens when a function g of the state changes sign.  A step of the scheme from the last
  * state, of the length that leads to g = 0, computes the state at the event.  So it lies in D to
  * roundoff and has the order of the scheme.  The same holds for states at times between the steps.
+ * The scheme taylor has a polynomial for each step, which gives these states, and all crossings of
+ * events that have series.
  * Events without a reset, and output times, do not change the bits of the run.  The rules of
  * dalembert.h hold. */
 #ifndef DALEMBERT_EVENTS_H
@@ -50,8 +52,9 @@ typedef struct dal_event {
     dal_consistency consistency; /* whether the state of reset is checked, projected, or used
                                     unchanged */
     void *ctx, *reset_ctx; /* contexts of g and of reset */
-    const struct dal_event_series *series; /* of g alone, compiled for the system of the run; or
-                                              NULL.  The scheme taylor finds all zeros by it */
+    const struct dal_event_series *series; /* the Taylor series of g alone, compiled for the system
+                                              of the run; or NULL.  With it the scheme taylor finds
+                                              all zeros */
 } dal_event;
 
 /* The events of a run, and their state during the run.  A sign change of g from the beginning to

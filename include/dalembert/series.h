@@ -71,7 +71,7 @@ typedef struct dal_series {
  * been compiled for it are not known, and its values are compared instead. */
 typedef struct dal_event_series {
     unsigned abi;     /* DAL_SERIES_ABI */
-    size_t states;    /* of the series of the system */
+    size_t states;    /* those of dal_series */
     size_t functions; /* in the first columns */
     size_t switches, exponents, width, room; /* as above, in the columns that follow */
     int is_doubtful;
@@ -89,13 +89,13 @@ typedef double dal_four __attribute__((vector_size(32), may_alias));
 typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
 
 /* The series of derivatives of a motion by its start, parameters and inputs, along a motion whose
- * series are known; four at once.  The numbers of a direction a are first those of y, then those of
- * parameters and inputs, which stay.  Of order 2 they are those of y in the directions a, b and
- * both, then those of parameters and inputs in a, and in b. */
+ * series are known; four at once.  A direction a has the numbers dy of y, and dz of the parameters
+ * and inputs, which are constant.  For order 1 the numbers are dy, dz.  For order 2 there are two
+ * directions a and b: first dy in a, in b and in both, then dz in a and in b. */
 typedef struct dal_variation_series {
     unsigned abi;  /* DAL_SERIES_ABI */
     int order;     /* 1 or 2 */
-    size_t states, parameters, inputs; /* of the system */
+    size_t states, parameters, inputs;
     size_t switches; /* columns that follow on those of states: derivatives of the switches; none
                         for order 2 */
     size_t width;  /* columns */
@@ -107,10 +107,10 @@ typedef struct dal_variation_series {
     /* As those of dal_series, of all four; the columns of states change by their polynomials. */
     void (*decay)(size_t order, const dal_four *Y, double *decay);
     void (*lead)(size_t order, double s, const dal_four *Y, dal_four *columns);
-    /* values <- the derivatives of v[n] in each direction; of w[states - n], from those of x[2n],
-     * parameters and inputs in one direction. */
+    /* values <- the derivatives of v[n] in each direction. */
     void (*velocity)(double t, const double *y, const double *u, const double *columns,
                      double *values, const void *p);
+    /* values[states - n] <- the derivatives of w, from dx[2n] and dz in one direction. */
     void (*quasi)(double t, const double *x, const double *u, const double *columns,
                   double *values, const void *p);
 } dal_variation_series;

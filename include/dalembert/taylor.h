@@ -1,4 +1,4 @@
-/* dalembert/taylor.h - what Taylor series give besides the steps.
+/* dalembert/taylor.h - dense output and derivatives by Taylor series.
  *
  * A step of the scheme "taylor" is a polynomial, or a few of them.  Kept, they give the state at
  * all times of a run.  Along them the derivatives of the motion have series as well.  The rules of
@@ -24,7 +24,8 @@ DAL_API int dal_taylor_dense_new(dal_taylor_dense **dense, const dal_system *sys
 DAL_API void dal_taylor_dense_free(dal_taylor_dense *dense);
 
 /* From now on the stepper, of this system and scheme, keeps its polynomials in dense, instead of
- * those that it had; NULL: it keeps none.  Free dense after that, or after the stepper.
+ * those that it had; NULL: it keeps none.  Free dense after that, or after the stepper.  Use a
+ * dense for one stepper at a time.
  * Errors: DAL_EINVAL (a stepper of another system or scheme). */
 DAL_API int dal_taylor_keep(dal_stepper *stepper, dal_taylor_dense *dense);
 
@@ -39,14 +40,16 @@ DAL_API const dal_error *dal_taylor_dense_error(const dal_taylor_dense *dense);
 
 /* ---- derivatives --------------------------------------------------------------------------- */
 
-/* A motion, and its derivatives by its start, by parameters and by inputs that stay what they are:
- * the variational equations.  Their series are compiled for the system: `variations` of its
- * definition. */
+/* A motion, and its derivatives by its start, by parameters and by constant inputs: the variational
+ * equations.  Their series are compiled for the system: `variations` of its definition.  Where a
+ * force jumps, the derivative of the time of the jump is included.  At a start on a kink or a jump
+ * the derivatives are one-sided. */
 typedef struct dal_taylor_variations dal_taylor_variations;
 
-/* Creates them for a number of columns, of order 1; of order 2 also for all pairs of columns.
+/* Creates them for a number of columns.  The order is 1, or 2 for all pairs of columns as well.
  * Errors: DAL_EINVAL; DAL_ENOMEM; DAL_EUNSUPPORTED (another family; the series of this order have
- * not been compiled; constraints that depend on inputs). */
+ * not been compiled; constraints that depend on inputs, or without equations on D in closed
+ * form). */
 DAL_API int dal_taylor_variations_new(dal_taylor_variations **variations, const dal_system *system,
                                       const dal_scheme *scheme, int order, size_t columns,
                                       dal_error *error);
@@ -71,8 +74,8 @@ DAL_API int dal_taylor_variations_start(dal_taylor_variations *variations, doubl
 /* The inputs from now on, [inputs]; they are 0 before. */
 DAL_API int dal_taylor_variations_input(dal_taylor_variations *variations, const double *u);
 
-/* Goes on to a time.  The watch, or NULL, is asked now and then, as by dal_run.  On failure nothing
- * has changed.
+/* Continues to a time.  The watch, or NULL, is asked now and then, as by dal_run.  On failure
+ * nothing has changed.
  * Errors: those of steps; DAL_EDOMAIN (the motion touches a jump of the force); DAL_EUNSUPPORTED
  * (second derivatives where a function has a kink). */
 DAL_API int dal_taylor_variations_go(dal_taylor_variations *variations, double t_end,
@@ -81,10 +84,12 @@ DAL_API int dal_taylor_variations_go(dal_taylor_variations *variations, double t
 /* The number of the numbers (q, w): 2n - m, or 2n if w is v. */
 DAL_API size_t dal_taylor_variations_states(const dal_taylor_variations *variations);
 
-/* The time and the state x[2n] now; the derivatives dx[columns*2n]; of order 2, the second ones
- * d2x[pairs*2n], of the pairs (0, 0), (0, 1), ... (0, columns - 1), (1, 1), ...; else NULL. */
+/* The time and the state x[2n] now; the acceleration dv/dt[n] of the motion that led there, NaN at
+ * the start; the derivatives dx[columns*2n].  For order 2 the second derivatives d2x[pairs*2n], with
+ * the pairs (0, 0), (0, 1), ... (0, columns - 1), (1, 1), ...; else NULL. */
 DAL_API double dal_taylor_variations_time(const dal_taylor_variations *variations);
 DAL_API const double *dal_taylor_variations_state(const dal_taylor_variations *variations);
+DAL_API const double *dal_taylor_variations_acceleration(const dal_taylor_variations *variations);
 DAL_API const double *dal_taylor_variations_columns(const dal_taylor_variations *variations);
 DAL_API const double *dal_taylor_variations_second(const dal_taylor_variations *variations);
 DAL_API const dal_error *dal_taylor_variations_error(const dal_taylor_variations *variations);

@@ -26,7 +26,7 @@ def _made(system: System, expressions: Named, of: Any = None) -> tuple[Any, Any,
 
 
 def series(system: System, expressions: Named, of: Any) -> tuple[Any, Any, Any, Any]:
-    """Return what `values` does, and a ``dal_event_series *`` along motions of a model, or NULL."""
+    """Return the results of `values`, and a ``dal_event_series *`` for a model, or NULL."""
     made = values(system, expressions, of)
     _, kept, function = _made(system, expressions, of)
     address = 0 if function is not None or of is None else kept[2].address("along")

@@ -36,7 +36,7 @@ class Variations:
     d2x : ndarray, shape (N, 2n, K, K), or None
         The second derivatives, along straight lines in (q, w, parameters, inputs).
     rate : ndarray, shape (N, 2n)
-        The derivative by the end time: (v, dv/dt).
+        The derivative by the end time: (v, dv/dt), at a jump of the force the one before it.
     system : System
     """
 
@@ -78,12 +78,14 @@ def variations(
     values: ArrayLike | None = None,
     order: int = 1,
     tolerance: float | None = None,
+    consistent: str = "check",
 ) -> Variations:
     """Return a motion and its derivatives by its start, parameters and inputs.
 
     The variational equations are integrated along the Taylor series of the motion, in the
     quasi-velocities w of `System.reduced`.  So the motion is the one that `integrate` finds, and
-    its derivatives are tangent to D to roundoff.  A system is compiled for this on first use.
+    its derivatives are tangent to D to roundoff.  A system is compiled for this on first use.  At a
+    start on a kink or a jump of the force they are one-sided.
 
     Parameters
     ----------
@@ -96,7 +98,7 @@ def variations(
     t0 : float, optional
     directions : array_like, shape (K, 2n), optional
         Directions (dq, dv) of the start, tangent to D.  Default: a basis of the tangent space at
-        the start, with a column for each coordinate q, at fixed w, and for each w, at fixed q.
+        the start.  It has a column for each coordinate, at fixed w, and for each w, at fixed q.
     parameters : sequence of str, optional
         Names of parameters.  The initial velocity is projected into the D that changes with them,
         in the mass metric, at fixed q.
@@ -107,6 +109,9 @@ def variations(
     order : {1, 2}, optional
     tolerance : float, optional
         That of the scheme "taylor"; default 1e-15.
+    consistent : {"check", "project"}, optional
+        The treatment of a v0 that violates the constraint.  "check" raises an error (default);
+        "project" projects it in the mass metric, for all values of the parameters.
 
     Returns
     -------
@@ -117,8 +122,8 @@ def variations(
     ValueError
         If an argument is invalid, or a direction is not tangent to D.
     NotImplementedError
-        If the system has no Taylor series.  Also if its constraints depend on inputs, and for
-        second derivatives where a function has a kink.
+        If the system has no Taylor series, or no equations on D in closed form.  Also if its
+        constraints depend on inputs, and for second derivatives where a function has a kink.
     DomainError, SingularError, ConvergenceError
         As for `integrate`; also where the motion touches a jump of the force.
 
@@ -130,8 +135,7 @@ def variations(
     (('x', 'y', 'theta', 'w0', 'w1', 'a'), (6, 6))
     """
     require_system(system)
-    if order not in _PARTS:
-        raise ValueError(f"order = {order!r}: expected 1 or 2")
+    order = arguments.integer(order, "order", 1, 2)
     times = _times(t_end, t_eval, t0)
     compiled = twin(system, _PARTS[order])
     if compiled is None or compiled._model is None:
@@ -141,12 +145,16 @@ def variations(
         )
     scheme = Scheme.find("taylor") if tolerance is None else Scheme.taylor(tolerance)
     x0 = geometry.initial_state(system, q0, v0)
+    is_projected = arguments.choice(consistent, "consistent", {"check": False, "project": True})
+    given = x0.copy() if is_projected else None
+    if given is not None:
+        x0[system.n :] = system.project(*np.split(x0, 2), t=float(t0), inputs=values)
     start = _Start(system, compiled, scheme, order, x0, float(t0), values)
     if directions is None:
         start.add_basis()
     else:
         start.add(arguments.array(directions, "directions", (None, 2 * system.n)))
-    start.add_parameters(_chosen(parameters, system.parameters, "parameters"))
+    start.add_parameters(_chosen(parameters, system.parameters, "parameters"), given)
     start.add_inputs(_chosen(inputs, system.inputs, "inputs"))
     found = start.lead(times)
     return found if t_eval is not None else found._last()
@@ -229,8 +237,11 @@ class _Start:
     def states(self) -> int:
         return int(lib.dal_taylor_variations_states(self._one))
 
-    def add_parameters(self, names: Sequence[str]) -> None:
-        """Add columns whose initial velocity is projected into the D that changes."""
+    def add_parameters(self, names: Sequence[str], given: Array | None) -> None:
+        """Add columns whose initial velocity is projected into the D that changes.
+
+        It is projected from a ``given`` state, if that is off D.
+        """
         n, known = self.system.n, list(self.system.parameters)
         basis = np.array([self.column(dy)[n:] for dy in np.eye(self.states)[n:]])
         M = geometry.metric(self.system, self.x0[:n], self.x0[n:], self.t0)
@@ -238,10 +249,24 @@ class _Start:
             dz = np.zeros(sum(self.numbers))
             dz[known.index(name)] = 1.0
             dx = self.column(np.zeros(self.states), dz)  # at fixed w
-            if len(basis):
+            slope = np.zeros(n) if given is None else self._slope_of_projection(name, given)
+            if len(basis):  # tangent to D, and in the basis as near to the slope as possible
                 weighed = basis @ M
-                dx[n:] -= np.linalg.solve(weighed @ basis.T, weighed @ dx[n:]) @ basis
+                dx[n:] += np.linalg.solve(weighed @ basis.T, weighed @ (slope - dx[n:])) @ basis
             self._add(name, dx, dz)
+
+    def _slope_of_projection(self, name: str, given: Array) -> Array:
+        """Return the derivative of the projected velocity by a parameter, by differences."""
+        value = self.system.parameters[name]
+        h = 1e-3 * (abs(value) or 1.0)
+
+        def projected(k: int) -> Array:
+            other = self.system.with_parameters(**{name: value + k * h})
+            return other.project(*np.split(given, 2), t=self.t0, inputs=self.values)
+
+        one, two = (projected(k) - projected(-k) for k in (1, 2))
+        three = projected(3) - projected(-3)
+        return (45 * one - 9 * two + three) / (60 * h)
 
     def add_inputs(self, names: Sequence[str]) -> None:
         """Add columns of inputs, which do not change the start."""
@@ -265,6 +290,7 @@ class _Start:
         core.call("linear", lib.dal_taylor_variations_start, made, self.t0, self.x0, dx, dz)
         pairs = [(i, j) for i in range(columns) for j in range(i, columns)]
         x = np.empty((len(times), size))
+        rate = np.empty_like(x)
         first = np.empty((len(times), size, columns))
         second = np.empty((len(times), size, columns, columns)) if self.order == 2 else None
         watching = ffi.new_handle(lambda t: None)
@@ -272,13 +298,16 @@ class _Start:
             core.call("linear", lib.dal_taylor_variations_go, made, float(t), lib.dal_py_watch,
                       watching)  # fmt: skip
             x[k] = core.doubles(lib.dal_taylor_variations_state(made), size)
+            acceleration = core.doubles(lib.dal_taylor_variations_acceleration(made), size // 2)
+            rate[k] = np.concatenate([x[k, size // 2 :], acceleration])
             found = core.doubles(lib.dal_taylor_variations_columns(made), columns * size)
             first[k] = found.reshape(columns, size).T
             if second is not None:
                 found = core.doubles(lib.dal_taylor_variations_second(made), len(pairs) * size)
                 for (i, j), column in zip(pairs, found.reshape(-1, size)):
                     second[k, :, i, j] = second[k, :, j, i] = column
-        q, v = np.split(x, 2, axis=1)
-        inputs = None if self.values is None else np.tile(self.values, (len(times), 1))
-        rate = geometry.field(self.system, q, v, times, inputs)
+        at_start = np.isnan(rate).any(axis=1)  # where nothing has moved yet
+        if at_start.any():
+            q, v = np.split(self.x0, 2)
+            rate[at_start] = geometry.field(self.system, q, v, self.t0, self.values)
         return Variations(times, x, tuple(self.names), first, second, rate, self.system)

@@ -26,6 +26,7 @@ from ..symbolic import event
 from ..symbolic.printing import function
 from ..symbolic.symbols import TIME
 from ..system import System
+from ..system.twins import twin
 
 _ITERATIONS, _HALVINGS, _TO_SECTION = 50, 8, 4
 _CLOSE = 1e-12  # of an orbit, relative to the size of the state
@@ -138,9 +139,11 @@ class Section:
 
     def orbit(
         self, q: ArrayLike | None = None, v: ArrayLike | None = None, *, returns: int = 1,
-        energy: float | None = None, t: float = 0.0,
+        energy: float | None = None, period: float | None = None, t: float = 0.0,
     ) -> Orbit:  # fmt: skip
         """Return the periodic orbit near a state, by Newton's method for the return map.
+
+        If orbits form families, the nearest one is found.
 
         Parameters
         ----------
@@ -149,26 +152,40 @@ class Section:
         returns : int, optional
             The orbit closes at this return.
         energy : float, optional
-            The energy of the orbit.  Where orbits form families, the nearest one is found.
+            The energy of the orbit.
+        period : float, optional
+            The period of the equations, if they depend on time; that of the orbit has to be a
+            multiple.
         t : float, optional
 
         Raises
         ------
         ConvergenceError
-            If the iteration does not converge; begin nearer to an orbit.
+            If the iteration does not converge, or leads to an equilibrium.  Begin nearer to an
+            orbit.
+        ValueError
+            If the numbers that return do not determine the state in the section, or the equations
+            depend on time and have no period.
         """
         x = geometry.initial_state(self.system, q, v, "q", "v")
         returns, n = arguments.integer(returns, "returns", 1), self.system.n
+        if self._depends_on_time and period is None:
+            raise ValueError("the equations depend on time: give their period")
+        g, _, rate = self._at(x, float(t))
+        is_wrong = rate * self.direction < 0 or rate == 0
+        if is_wrong or abs(g) > _NEARBY * (1.0 + np.linalg.norm(x)):
+            times, states = self._crossings(x, float(t), 1)
+            t, x = float(times[0]), states[0]
         newton = _Newton(self, returns, energy, float(t))
-        if abs(self._at(x, float(t))[0]) > _NEARBY * (1.0 + np.linalg.norm(x)):
-            x = self._crossings(x, float(t), 1)[1][0]
         here = newton.at(x)
+        self._require_determined(here, float(t))
         for k in range(_ITERATIONS):
             size = 1.0 + np.linalg.norm(here.x[self._returning])
             better = None if here.residual <= ROUNDOFF * size else newton.improved(here)
             if better is None and here.residual <= _CLOSE * size:
                 self._require_motion(here.x, float(t))
-                multipliers = self._multipliers(here.x, here.end, float(t))
+                self._require_period(here.end.t - t, period)
+                multipliers = self._multipliers(here, float(t))
                 return Orbit(
                     here.end.t - t, here.x[:n], here.x[n:], multipliers, here.residual, k
                 )
@@ -190,6 +207,34 @@ class Section:
                 "change; begin farther from it"
             )
 
+    @functools.cached_property
+    def _depends_on_time(self) -> bool:
+        found = twin(self.system, "series")
+        model = self.system._model if found is None else found._model
+        if model is None:
+            return False
+        every = (model.L, *model.constraints, *(model.force or ()), self.g)
+        return any(s.name == "t" for e in every for s in e.free_symbols)
+
+    def _require_determined(self, here: _Iterate, t: float) -> None:
+        """Raise ValueError if different states in the section have the same numbers."""
+        start = here.end.start @ self._within(here, t)
+        rank = np.linalg.matrix_rank(start[self._returning] / np.linalg.norm(start, axis=0))
+        if rank < start.shape[1]:
+            raise ValueError(
+                f"returning: {len(self._returning)} numbers do not determine the state in the "
+                f"section, which has {start.shape[1]} dimensions without the coordinates that need "
+                "not return; name more of them"
+            )
+
+    def _require_period(self, found: float, period: float | None) -> None:
+        """Raise ConvergenceError unless a period is a multiple of that of the equations."""
+        if period is not None and abs(found / period - round(found / period)) > 1e-9:
+            raise ConvergenceError(
+                f"the return takes {found:.12g}, which is no multiple of the period {period:g} of "
+                "the equations; choose a section that depends on time"
+            )
+
     # ---- one return --------------------------------------------------------------------------
 
     @functools.cached_property
@@ -201,13 +246,16 @@ class Section:
         of = {"t": TIME, "q": model.q, "v": model.v, "p": model.p}
         return function(of, [g, *(sympy.diff(g, s) for s in symbols)])
 
-    def _at(self, x: Array, t: float) -> tuple[float, Array, float]:
-        """Return g, its gradient, and its rate along the motion."""
+    def _slopes_at(self, x: Array, t: float) -> tuple[float, Array, float]:
+        """Return g, its gradient, and its derivative by t."""
         q, v = np.split(x, 2)
         values = np.array(self._slopes(t, q, v, [*self.system.parameters.values()]), dtype=float)
-        gradient = values[1:-1]
-        rate = gradient @ self.system.field(q, v, t) + values[-1]
-        return float(values[0]), gradient, float(rate)
+        return float(values[0]), values[1:-1], float(values[-1])
+
+    def _at(self, x: Array, t: float) -> tuple[float, Array, float]:
+        """Return g, its gradient, and its rate along the motion."""
+        g, gradient, by_time = self._slopes_at(x, t)
+        return g, gradient, float(gradient @ self.system.field(*np.split(x, 2), t)) + by_time
 
     def _crossings(self, x0: Array, t0: float, count: int) -> tuple[Array, Array]:
         """Return times and states of so many crossings after the start."""
@@ -244,10 +292,12 @@ class Section:
             self.system, q, v, t0=t0, t_eval=[t0, t], tolerance=self._scheme.tolerance
         )
         start, end = found.dx
-        _, gradient, rate = self._at(x, t)
+        moves = found.rate[-1]  # before a jump, if the section is on one
+        _, gradient, by_time = self._slopes_at(x, t)
+        rate = gradient @ moves + by_time
         if rate == 0.0:
             raise ValueError(f"the motion touches the section at t = {t:g}")
-        end = end - np.outer(self.system.field(x[:n], x[n:], t), gradient @ end / rate)
+        end = end - np.outer(moves, gradient @ end / rate)
         return Return(t, x[:n], x[n:], start, end)
 
     # ---- orbits ------------------------------------------------------------------------------
@@ -279,13 +329,17 @@ class Section:
             found[i] = (8 * one - two) / (12 * h)
         return found
 
-    def _multipliers(self, x: Array, here: Return, t: float) -> Array:
+    def _within(self, here: _Iterate, t: float) -> Array:
+        """Return the free directions that are tangent to the section."""
+        free = self._free(here.end)
+        gradient = self._at(here.x, t)[1]
+        return free @ _kernel((gradient @ here.end.start @ free)[None])
+
+    def _multipliers(self, here: _Iterate, t: float) -> Array:
         """Return the eigenvalues of the derivative within the section."""
-        free = self._free(here)
-        _, gradient, _ = self._at(x, t)
-        free = free @ _kernel((gradient @ here.start @ free)[None])
-        start = (here.start @ free)[self._returning]
-        end = (here.derivative @ free)[self._returning]
+        within = self._within(here, t)
+        start = (here.end.start @ within)[self._returning]
+        end = (here.end.derivative @ within)[self._returning]
         found = np.linalg.eigvals(np.linalg.lstsq(start, end, rcond=None)[0])
         return found[np.argsort(-abs(found))]
 
@@ -328,6 +382,8 @@ class _Newton:
             q, v = x[:n], x[n:]
             x = np.concatenate([q, section.system.project(q, v, t=self.t)])
             g, _, rate = section._at(x, self.t)
+            if rate == 0.0:
+                raise ValueError("the motion touches the section")
             x = x - g / rate * section.system.field(x[:n], x[n:], self.t)
         return np.concatenate([x[:n], section.system.project(x[:n], x[n:], t=self.t)])
 
@@ -409,8 +465,10 @@ def section(
     (3.14159265359, True)
     """
     require_system(system)
-    if not is_expression(g):
-        raise ValueError(f"g = {arguments.shown(g)}: expected a SymPy expression")
+    if not is_expression(g) or not g.free_symbols:
+        raise ValueError(f"g = {arguments.shown(g)}: expected a SymPy expression in the state")
+    if g.has(sympy.sign, sympy.Heaviside, sympy.Piecewise):
+        raise ValueError(f"g = {g}: expected an expression without jumps")
     names = [*system.coordinates, *(f"v_{name}" for name in system.coordinates)]
     chosen = names if returning is None else arguments.names(returning, "returning", "names")
     given = dict(periods or {})
@@ -420,10 +478,17 @@ def section(
                 f"{argument}: {name!r} is unknown; {arguments.suggestion(name, names)}expected "
                 f"{', '.join(names)}"
             )
-    turns = np.array([arguments.number(given.get(name, np.inf), "periods") if name in given
-                      else np.inf for name in chosen])  # fmt: skip
+    turns = np.array([_positive(given[name], "periods") if name in given else np.inf
+                      for name in chosen])  # fmt: skip
     scheme = Scheme.find("taylor") if tolerance is None else Scheme.taylor(tolerance)
     return Section(
         system, g, arguments.number(direction, "direction"), [names.index(x) for x in chosen],
-        turns, arguments.number(t_max, "t_max"), scheme,
+        turns, _positive(t_max, "t_max"), scheme,
     )  # fmt: skip
+
+
+def _positive(value: float, name: str) -> float:
+    number = arguments.number(value, name)
+    if not number > 0.0:
+        raise ValueError(f"{name} = {value!r}: expected a positive number")
+    return number

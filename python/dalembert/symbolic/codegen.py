@@ -110,7 +110,7 @@ def program(
     of : Model, optional
         Another model, along whose motions the invariants get Taylor series.
     """
-    lanes, varied = part == "lanes", _VARIED.get(part, 0)
+    lanes, varied = part == "lanes", VARIED.get(part, 0)
     series = part in ("series", "four series") or name is not None or varied > 0
     made, body = Program(), Program()
     derived = model.derived
@@ -170,7 +170,7 @@ def program(
     return made
 
 
-_VARIED = {"variations": 1, "second variations": 2}
+VARIED = {"variations": 1, "second variations": 2}
 
 # Where an argument is no number, they are none.
 _HELPERS = {

@@ -620,7 +620,7 @@ class System(Handle):
         """
         return type(self)._of(self._source, {**self._units, **units})
 
-    def c_source(self, name: str | None = None) -> str:
+    def c_source(self, name: str | None = None, derivatives: int = 0) -> str:
         """Return C source that defines the system, for programs linked with libdalembert.
 
         It defines one function,
@@ -635,11 +635,15 @@ class System(Handle):
         ----------
         name : str, optional
             NAME, a C identifier.  Default: the system's name.
+        derivatives : {0, 1, 2}, optional
+            The order of the derivatives of motions that the program computes, see
+            ``dalembert/taylor.h``; default: none.
 
         Raises
         ------
         ValueError
-            If the system was not made by `from_sympy`, or the name is not an identifier.
+            If the system was not made by `from_sympy`, the name is not an identifier, or the order
+            is another.
 
         Examples
         --------
@@ -649,7 +653,12 @@ class System(Handle):
         >>> "int own_system(dal_system **system, dal_error *error);" in own.c_source("own")
         True
         """
-        source: str = symbolic.codegen.program(*self._named_for_c(name), self).source
+        parts = {0: "", **{order: part for part, order in symbolic.codegen.VARIED.items()}}
+        if derivatives not in parts:
+            raise ValueError(f"derivatives = {derivatives!r}: expected 0, 1 or 2")
+        model, identifier = self._named_for_c(name)
+        part = parts[derivatives]
+        source: str = symbolic.codegen.program(model, identifier, self, part=part).source
         return source
 
     def c_header(self, name: str | None = None) -> str:
