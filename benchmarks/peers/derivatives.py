@@ -108,7 +108,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Variational equations of the library and heyoka.")
     parser.add_argument("problems", nargs="*", help=f"of {', '.join(PROBLEMS)}; default: all")
     parser.add_argument("--order", type=int, default=1, choices=(1, 2))
-    parser.add_argument("--compact", action="store_true", help="heyoka's loops instead of long code")
+    parser.add_argument("--compact", action="store_true", help="heyoka's loops")
     parser.add_argument("--rounds", type=int, default=15, help="calls of each, whose least counts")
     given = parser.parse_args()
     for name in given.problems or PROBLEMS:

@@ -95,9 +95,8 @@ static double zero_in(size_t order, const double *c, double low, double high, in
         double next = s - value / slope;
         const bool leaves = !(next >= low && next <= high);
         if (leaves) next = low + 0.5 * (high - low);
-        const double step = fabs(next - s), part = step / before;
-        if (step <= DAL_ROUNDOFF * s || (!leaves && k > 0 && step * part * part <= DAL_ROUNDOFF * s))
-            return next;
+        const double step = fabs(next - s), part = step / before, least = DAL_ROUNDOFF * s;
+        if (step <= least || (!leaves && k > 0 && step * part * part <= least)) return next;
         before = step;
         s = next;
     }

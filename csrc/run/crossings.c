@@ -335,7 +335,8 @@ static int look_at_piece(const dal__piece *piece, double from, double to, void *
     self->leaves_zero = false;
     if (self->side == 0) self->side = found.first;
     if (self->side * found.first < 0) {
-        if (leaves_zero) return dal__event_rests(e, self->event, "g goes to the side %g", found.first);
+        if (leaves_zero)
+            return dal__event_rests(e, self->event, "g goes to the side %g", found.first);
         status = add(e, self->event, theta_at(e, from), -self->side, self->found);
         self->side *= -1;
     }
@@ -370,8 +371,8 @@ static int find_by_series(dal_events *e, size_t event, size_t *found)
         if (status && !e->error->status) *e->error = e->probe->error;
     }
     if (status || here.side * g->end > 0.0) return status;
-    const bool is_zero = fabs(g->end) <= dal__event_rounding(g);
-    if (is_zero && *found > before && e->crossings[*found - 1].theta > 1.0 - SAME_PLACE) {
+    const bool is_small = fabs(g->end) <= dal__event_rounding(g);
+    if (is_small && *found > before && e->crossings[*found - 1].theta > 1.0 - SAME_PLACE) {
         *found -= 1; /* at the end, where g is still on the side before: the next step finds it */
         return DAL_SUCCESS;
     }

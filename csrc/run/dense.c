@@ -11,8 +11,8 @@ struct dal_taylor_dense {
     dal_stepper *stepper; /* of the system and scheme, whose workspace is used */
 };
 
-int dal_taylor_dense_new(dal_taylor_dense **dense, const dal_system *system, const dal_scheme *scheme,
-                  dal_error *error)
+int dal_taylor_dense_new(dal_taylor_dense **dense, const dal_system *system,
+                         const dal_scheme *scheme, dal_error *error)
 {
     int status = DAL__REQUIRE(error, {"dense", dense}, {"system", system}, {"scheme", scheme});
     if (status) return status;
@@ -82,4 +82,7 @@ int dal_taylor_dense_states(dal_taylor_dense *dense, size_t count, const double 
     return status;
 }
 
-const dal_error *dal_taylor_dense_error(const dal_taylor_dense *dense) { return &dense->stepper->error; }
+const dal_error *dal_taylor_dense_error(const dal_taylor_dense *dense)
+{
+    return &dense->stepper->error;
+}

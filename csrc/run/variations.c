@@ -1,7 +1,7 @@
 /* A motion and its derivatives, along the pieces of its Taylor series.
  *
- * A lane has the numbers of a column, or for second derivatives of a pair of columns; four
- * lanes are a block, which is computed at once.  The motion has the bits that it has without them. */
+ * A lane has the numbers of a column, or for second derivatives of a pair of columns; four lanes
+ * are a block, which is computed at once.  The bits of the motion do not depend on them. */
 #include "dalembert/taylor.h"
 #include "step/taylor.h"
 

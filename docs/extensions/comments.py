@@ -17,7 +17,7 @@ HEADERS = tuple(
     f"dalembert{name}.h"
     for name in (
         "", "/inspect", "/stepper", "/run", "/deformation", "/geometry", "/discrete", "/family",
-        "/events", "/journal", "/ensemble", "/study",
+        "/events", "/journal", "/ensemble", "/study", "/taylor",
     )
 )  # fmt: skip
 COMMENT = re.compile(r"/\*(.*?)\*/", flags=re.S)

@@ -91,7 +91,7 @@ typedef long long dal_four_bits __attribute__((vector_size(32), may_alias));
 /* The series of derivatives of a motion by its start, parameters and inputs, along a motion whose
  * series are known; four at once.  A direction a has the numbers dy of y, and dz of the parameters
  * and inputs, which are constant.  For order 1 the numbers are dy, dz.  For order 2 there are two
- * directions a and b: first dy in a, in b and in both, then dz in a and in b. */
+ * directions a and b.  First come dy in a, in b and in both, then dz in a and in b. */
 typedef struct dal_variation_series {
     unsigned abi;  /* DAL_SERIES_ABI */
     int order;     /* 1 or 2 */

@@ -19,8 +19,8 @@ typedef struct dal_taylor_dense dal_taylor_dense;
 
 /* Creates them for motions of a system, of a scheme of the family taylor.
  * Errors: DAL_EINVAL; DAL_ENOMEM; DAL_EUNSUPPORTED (another family, or no series). */
-DAL_API int dal_taylor_dense_new(dal_taylor_dense **dense, const dal_system *system, const dal_scheme *scheme,
-                          dal_error *error);
+DAL_API int dal_taylor_dense_new(dal_taylor_dense **dense, const dal_system *system,
+                                 const dal_scheme *scheme, dal_error *error);
 DAL_API void dal_taylor_dense_free(dal_taylor_dense *dense);
 
 /* From now on the stepper, of this system and scheme, keeps its polynomials in dense, instead of
@@ -35,13 +35,14 @@ DAL_API size_t dal_taylor_dense_count(const dal_taylor_dense *dense, size_t *byt
 /* x[count*2n] <- the states at times in the motion, in any order: as exact as those of the steps,
  * in D to roundoff.  At the time of a reset it is the state after it.
  * Errors: DAL_EINVAL (a time outside); DAL_EDOMAIN; DAL_ESINGULAR; x is then unspecified. */
-DAL_API int dal_taylor_dense_states(dal_taylor_dense *dense, size_t count, const double *t, double *x);
+DAL_API int dal_taylor_dense_states(dal_taylor_dense *dense, size_t count, const double *t,
+                                    double *x);
 DAL_API const dal_error *dal_taylor_dense_error(const dal_taylor_dense *dense);
 
 /* ---- derivatives --------------------------------------------------------------------------- */
 
 /* A motion, and its derivatives by its start, by parameters and by constant inputs: the variational
- * equations.  Their series are compiled for the system: `variations` of its definition.  Where a
+ * equations.  Their series are compiled for the system: `variations` of its definition.  If a
  * force jumps, the derivative of the time of the jump is included.  At a start on a kink or a jump
  * the derivatives are one-sided. */
 typedef struct dal_taylor_variations dal_taylor_variations;
@@ -85,8 +86,8 @@ DAL_API int dal_taylor_variations_go(dal_taylor_variations *variations, double t
 DAL_API size_t dal_taylor_variations_states(const dal_taylor_variations *variations);
 
 /* The time and the state x[2n] now; the acceleration dv/dt[n] of the motion that led there, NaN at
- * the start; the derivatives dx[columns*2n].  For order 2 the second derivatives d2x[pairs*2n], with
- * the pairs (0, 0), (0, 1), ... (0, columns - 1), (1, 1), ...; else NULL. */
+ * the start; the derivatives dx[columns*2n].  For order 2 the second derivatives d2x[pairs*2n],
+ * with the pairs (0, 0), (0, 1), ... (0, columns - 1), (1, 1), ...; else NULL. */
 DAL_API double dal_taylor_variations_time(const dal_taylor_variations *variations);
 DAL_API const double *dal_taylor_variations_state(const dal_taylor_variations *variations);
 DAL_API const double *dal_taylor_variations_acceleration(const dal_taylor_variations *variations);

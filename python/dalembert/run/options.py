@@ -199,8 +199,9 @@ class Options(RunRecord):
         if not isinstance(given.h, str):
             return {}
         if given.h == "own":  # the tolerance belongs to the scheme
-            values = [one for one in vars(self).get("events", ()) if not events.is_expression(one.g)]
-            is_long = given.scheme.family == "taylor" and values
+            known = vars(self).get("events", ())
+            has_functions = not all(events.is_expression(one.g) for one in known)
+            is_long = given.scheme.family == "taylor" and has_functions
             return {"h": given.h, "parts": _PARTS} if is_long else {"h": given.h}
         numbers = {name: getattr(given, name) for name in ("tolerance", "h_max", "eps")}
         return {"h": given.h, **{name: x for name, x in numbers.items() if x is not None}}

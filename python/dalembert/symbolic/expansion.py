@@ -588,8 +588,9 @@ _EXPAND_FOUR = """static void model_expand_four(const dal_series_at *const *at, 
     (void)p, (void)work, (void)zero;
 """
 
-_EXPAND_ALONG = """static void model_along(const dal_series_at *at, size_t order, const double *states,
-                        size_t y_width, double *Y, double *work, const void *parameters)
+_EXPAND_ALONG = """static void model_along(const dal_series_at *at, size_t order,
+                        const double *states, size_t y_width, double *Y, double *work,
+                        const void *parameters)
 {
 """
 

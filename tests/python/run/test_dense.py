@@ -7,6 +7,8 @@ import pytest
 import sympy as sp
 
 import dalembert as dal
+from dalembert import core
+from dalembert.run.dense import Dense
 
 x, y, z = dal.coordinates("x y z")
 FALL = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - x, [])
@@ -77,3 +79,16 @@ def test_refused():
         dal.integrate(dal.systems.sleigh(), "reference", t_end=1, dense=True)
     with pytest.raises(ValueError, match="dense = True: not used with a fixed step"):
         dal.integrate(dal.systems.sleigh(), "leapfrog", h=0.1, t_end=1, dense=True)
+
+
+def test_other_parameters_are_refused():
+    """A stepper of the same code with other parameters is another one."""
+    k = sp.Symbol("k")
+    spring = dal.System.from_sympy(x.d**2 / 2 - k * x**2 / 2, coordinates=[x], parameters={k: 1})
+    scheme = dal.Scheme.find("taylor")
+    dense = Dense(spring, scheme)
+    other = scheme._stepped(spring.with_parameters(k=2))
+    stepper = core.make("stepper", other._handle, scheme._record, core.ffi.NULL, owner=other)
+    with pytest.raises(ValueError, match="dense belongs to another system"):
+        with dense.keeping(stepper):
+            pass

@@ -398,6 +398,20 @@ def test_state_at_one_time():
 # ---- walls and ends ------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("exponent", [sp.Rational(5, 2), sp.Rational(7, 2)])
+@pytest.mark.parametrize("U, t_end", [(7 * x / 10, 3), (x**2 / 2, 3), (7 * x / 10, 7)])
+def test_a_wall_is_not_passed_through(exponent, U, t_end):
+    """A power has no series where its base is zero, so the piece there is examined inside."""
+    wall = free(30 * sp.Max(0, x - 1) ** exponent + U)
+    for q, v in ((0.77468268, 2.03669280), (0.80299298, 2.19006771), (0.0, 2.0)):
+        run = dal.integrate(wall, "taylor", [q, 0], [v, 0], t_end=t_end)
+        assert np.ptp(run.energy) < 1e-9
+        known = dal.integrate(
+            wall, "midpoint-kl8", [q, 0], [v, 0], h=t_end / 20000, t_end=t_end, check_h=False
+        )
+        np.testing.assert_allclose(run.q[-1], known.q[-1], rtol=0, atol=1e-6)
+
+
 def fall(s, height=1.0):
     """Return x at s in the potential |x|, from rest at a height: parabolas from turn to turn."""
     quarter = np.sqrt(2 * height)

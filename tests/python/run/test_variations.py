@@ -44,7 +44,11 @@ def test_the_start(name):
     assert start.shape == (2 * system.n, 2 * system.n - system.m)
     assert np.linalg.matrix_rank(start) == start.shape[1]
     for direction, column in zip(start.T, found.T):
-        require_close(column, difference(lambda h: end(system, x0 + h * direction, 3)))  # noqa: B023
+
+        def moved(h, direction=direction):
+            return end(system, x0 + h * direction, 3)
+
+        require_close(column, difference(moved))
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -106,21 +110,22 @@ def test_inputs_and_second_derivatives():
         return end(other, x0 + [a, 0, 0, 0], 4, inputs=[0.7 + b])
 
     directions = {"x": (1, 0, 0), "u": (0, 1, 0), "k": (0, 0, 1)}
+
+    def first(a, at, h=1e-4):
+        return difference(lambda s: moved(*(at + s * a)), h)
+
     for name, one in directions.items():
-        i = found.columns.index(name)
-        require_close(found.dx[:, i], difference(lambda h: moved(*(h * np.array(one)))))  # noqa: B023
+        i, a = found.columns.index(name), np.array(one)
+        require_close(found.dx[:, i], first(a, np.zeros(3)))
         for other, two in directions.items():
-            j, h = found.columns.index(other), 1e-3
-            a, b = np.array(one), np.array(two)
-            mixed = difference(
-                lambda s: difference(lambda r: moved(*(s * a + r * b)), h), h  # noqa: B023
-            )
+            j, b, h = found.columns.index(other), np.array(two), 1e-3
+            mixed = difference(lambda s, a=a, b=b, h=h: first(a, s * b, h), h)
             require_close(found.d2x[:, i, j], mixed, 1e-7)
     assert (found.d2x == np.swapaxes(found.d2x, 1, 2)).all()
-    first = dal.variations(
+    alone = dal.variations(
         system, x0[:2], x0[2:], t_end=4, inputs=["u"], parameters=["k"], values=[0.7]
     )
-    np.testing.assert_allclose(first.dx, found.dx, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(alone.dx, found.dx, rtol=0, atol=1e-13)
 
 
 def test_second_derivatives_on_D():
@@ -158,8 +163,11 @@ def test_kinks_and_jumps(name, t_end):
     x0 = np.array([1, 0, 0.3, 1])
     found = dal.variations(system, x0[:2], x0[2:], t_end=t_end, parameters=["k"])
     for i, direction in enumerate(np.eye(4)):
-        ends = difference(lambda h: end(system, x0 + h * direction, t_end), 1e-5)  # noqa: B023
-        require_close(found.dx[:, i], ends, 3e-9)
+
+        def moved(h, direction=direction):
+            return end(system, x0 + h * direction, t_end)
+
+        require_close(found.dx[:, i], difference(moved, 1e-5), 3e-9)
     require_close(
         found.dx[:, 4],
         difference(lambda h: end(system.with_parameters(k=1.3 + h), x0, t_end), 1e-5), 3e-9,
@@ -167,6 +175,25 @@ def test_kinks_and_jumps(name, t_end):
     if t_end > 0:
         with pytest.raises(NotImplementedError, match="kink, which the motion passes at t"):
             dal.variations(system, x0[:2], x0[2:], t_end=t_end, order=2)
+
+
+def test_jumps_at_output_times():
+    """The jump counts, also where an output is exactly on it."""
+    system = dal.System.from_sympy(x.d**2 / 2, force={x: -sp.sign(x - 1)}, coordinates=[x])
+    exact = np.array([[0.2, 0.6], [-1.6, 0.2]])
+    for times in ([1], [0.5, 1], [0.4, 0.5, 0.9, 1]):  # the jump is at 0.5
+        found = dal.variations(system, [0.5], [0.75], t_eval=times)
+        np.testing.assert_allclose(found.dx[-1], exact, rtol=0, atol=1e-13)
+    before = dal.variations(system, [0.5], [0.75], t_end=0.5)
+    np.testing.assert_allclose(before.rate, [1.25, 1], rtol=0, atol=1e-13)
+    switched = dal.System.from_sympy(
+        x.d**2 / 2, force={x: -sp.sign(dal.time - k)}, coordinates=[x], parameters={k: 1}
+    )
+    for times in ([2], np.linspace(0, 2, 5)):
+        found = dal.variations(switched, [0], [0], t_eval=times, parameters=["k"])
+        np.testing.assert_allclose(found.dx[-1, :, -1], [2, 2], rtol=0, atol=1e-13)
+    with pytest.raises(NotImplementedError, match="kink"):
+        dal.variations(system, [0.5], [0.75], t_eval=[0.5, 1], order=2)
 
 
 def test_closed_form():
@@ -201,6 +228,9 @@ def test_not_supported():
     own = dal.System(mass=[1], potential=lambda q: q[0] ** 2, gradient=lambda q: 2 * q)
     with pytest.raises(NotImplementedError, match="has no Taylor series"):
         dal.variations(own, [1], [0], t_end=1)
+    speed = dal.System.from_sympy(T, [x.d**2 + y.d**2 - 1])
+    with pytest.raises(NotImplementedError, match="no equations on D in closed form"):
+        dal.variations(speed, [0, 0], [1, 0], t_end=1)
     with pytest.raises(dal.NotOnConstraintError):
         dal.variations(dal.systems.sleigh(), [0, 0, 0], [0, 1, 0], t_end=1)
 

@@ -109,6 +109,10 @@ def test_returning():
     ({"g": lambda t, q, v: q[0]}, "g = .*: expected a SymPy expression"),
     ({"returning": ["w"]}, "returning: 'w' is unknown; .*expected x, y, v_x, v_y"),
     ({"periods": {"a": 1}}, "periods: 'a' is unknown"),
+    ({"periods": {"x": 0}}, "periods = 0: expected a positive number"),
+    ({"t_max": -1}, "t_max = -1: expected a positive number"),
+    ({"g": sp.sign(x)}, "expected an expression without jumps"),
+    ({"g": sp.Integer(1)}, "g = 1: expected a SymPy expression in the state"),
 ])  # fmt: skip
 def test_refused(given, message):
     with pytest.raises(ValueError, match=message):
@@ -126,3 +130,42 @@ def test_no_return():
 def test_an_equilibrium_is_no_orbit():
     with pytest.raises((dal.ConvergenceError, ValueError)):
         dal.section(HENON, x).orbit([0, 1e-12], [1e-12, 0])
+
+
+def test_a_section_on_a_jump():
+    """The motion ends with the force before the jump, and begins with the one after it."""
+    system = dal.System.from_sympy(x.d**2 / 2, force={x: -sp.sign(x)}, coordinates=[x])
+    orbit = dal.section(system, x).orbit([0], [1])
+    assert abs(orbit.period - 4) < 1e-13 and abs(orbit.multipliers[0] - 1) < 1e-12
+
+
+def test_starts_beside_the_section():
+    """The first crossing in the right direction is the start."""
+    for start in ([0.2, 0.3], [0, 0.3]):
+        orbit = dal.section(HENON, x).orbit(start, [-0.42, 0], energy=1 / 8)
+        assert abs(HENON.energy(orbit.q, orbit.v) - 1 / 8) < 1e-15
+
+
+def test_numbers_that_do_not_determine_the_state():
+    with pytest.raises(ValueError, match="returning: 2 numbers do not determine the state"):
+        dal.section(HENON, x, returning=["y", "v_y"]).orbit([0, 0.3], [0.42, 0])
+
+
+def test_equations_that_depend_on_time():
+    """A forced oscillator: the multipliers of its stroboscopic map."""
+    t = dal.time
+    forced = dal.System.from_sympy(
+        x.d**2 / 2 - 2 * x**2, force={x: sp.cos(t) - x.d / 5}, coordinates=[x]
+    )
+    with pytest.raises(ValueError, match="depend on time: give their period"):
+        dal.section(forced, x).orbit([0], [1])
+    with pytest.raises(dal.ConvergenceError, match="no multiple of the period"):
+        dal.section(forced, sp.sin(t * sp.sqrt(2))).orbit([0.3], [0], period=2 * math.pi)
+    for at in (0.0, 1.0):
+        orbit = dal.section(forced, sp.sin(t)).orbit([0.3], [0], period=2 * math.pi, t=at)
+        rate, frequency = 0.1, math.sqrt(4 - 0.01)
+        exact = np.exp(2 * math.pi * np.array([-rate + 1j * frequency, -rate - 1j * frequency]))
+        np.testing.assert_allclose(np.sort(orbit.multipliers.imag), np.sort(exact.imag), atol=1e-12)
+        np.testing.assert_allclose(orbit.multipliers.real, exact.real, atol=1e-12)
+        steady = np.linalg.solve([[3, 0.2], [-0.2, 3]], [1, 0])  # of cos t and sin t
+        np.testing.assert_allclose(orbit.q, steady[:1], rtol=0, atol=1e-12)
