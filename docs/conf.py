@@ -38,6 +38,9 @@ nitpick_ignore = [
     ("c:identifier", "size_t"), ("c:identifier", "uint64_t"),
     ("c:identifier", "dal__guards"),  # in family.h, and of the library alone
     ("c:identifier", "dal_series"),  # of generated code
+    ("c:identifier", "dal_event_series"),
+    ("c:identifier", "dal_variation_series"),
+    ("c:identifier", "dal__polynomials"),
 ]
 
 # ---- prose ----

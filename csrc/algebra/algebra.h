@@ -79,6 +79,7 @@ typedef struct dal__sign_changes {
     size_t count;
     double at[DAL_ROOTS_MOST]; /* in (0, 1), in order */
     int first, last;           /* the sign after 0, and before 1; 0 if all values are noise */
+    bool begins, ends;         /* with noise */
     double touch;              /* where the polynomial first comes to zero without such a change, or
                                   too close to tell; or NaN */
 } dal__sign_changes;

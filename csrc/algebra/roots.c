@@ -136,6 +136,8 @@ void dal__find_sign_changes(size_t order, const double *c, double noise,
         const double begin = part->begin, middle = begin + 0.5 * part->width;
         const int before = found->last;
         depth--;
+        found->ends = of.first == 0 || of.ends;
+        if (found->first == 0) found->begins = found->begins || of.first == 0 || of.begins;
         if (of.first == 0) {
             ends = true;
             continue;

@@ -315,7 +315,8 @@ typedef struct look {
     dal_events *events;
     size_t event, *found;
     int side;         /* of zero, where the piece begins; 0: not known */
-    bool leaves_zero;
+    double zero;      /* a value there that is zero, and left; < 0: none */
+    double zero_since; /* in the last piece, or NaN */
 } look;
 
 static double theta_at(const dal_events *e, double t)
@@ -327,15 +328,16 @@ static int look_at_piece(const dal__piece *piece, double from, double to, void *
 {
     look *const self = ctx;
     dal_events *const e = self->events;
-    const bool leaves_zero = self->leaves_zero;
-    int status = dal__along_look(e->along[self->event], piece, from, to, leaves_zero, &e->watch,
+    const double zero = self->zero;
+    int status = dal__along_look(e->along[self->event], piece, from, to, zero, &e->watch,
                                  e->error);
     if (status) return status;
     const dal__found found = dal__along_found(e->along[self->event]);
-    self->leaves_zero = false;
+    self->zero = -1.0;
+    self->zero_since = found.zero_since;
     if (self->side == 0) self->side = found.first;
     if (self->side * found.first < 0) {
-        if (leaves_zero)
+        if (e->guards[self->event].waits && zero > 0.0)
             return dal__event_rests(e, self->event, "g goes to the side %g", found.first);
         status = add(e, self->event, theta_at(e, from), -self->side, self->found);
         self->side *= -1;
@@ -357,8 +359,9 @@ static int find_by_series(dal_events *e, size_t event, size_t *found)
     const guard *const g = &e->guards[event];
     const double from = dal__time_at(e, e->from), to = dal__time_at(e, 1.0);
     const size_t before = *found;
-    look here = {.events = e, .event = event, .found = found, .side = g->side,
-                 .leaves_zero = g->waits || g->side == 0};
+    const double zero = g->waits ? HUGE_VAL : g->side == 0 ? dal__event_rounding(g) : -1.0;
+    look here = {.events = e, .event = event, .found = found, .side = g->side, .zero = zero,
+                 .zero_since = (double)NAN};
     dal__piece piece;
     int status;
     if (from == to) return DAL_SUCCESS; /* a step of any size ends at a reset */
@@ -370,13 +373,15 @@ static int find_by_series(dal_events *e, size_t event, size_t *found)
         if (!status) status = dal__taylor_visit(e->probe, to, look_at_piece, &here);
         if (status && !e->error->status) *e->error = e->probe->error;
     }
-    if (status || here.side * g->end > 0.0) return status;
-    const bool is_small = fabs(g->end) <= dal__event_rounding(g);
-    if (is_small && *found > before && e->crossings[*found - 1].theta > 1.0 - SAME_PLACE) {
+    if (status || here.side * g->end > 0.0 || here.side == 0) return status;
+    const bool is_known = *found > before && e->crossings[*found - 1].theta > 1.0 - SAME_PLACE;
+    if (is_known && g->end == 0.0) return DAL_SUCCESS;
+    if (is_known && fabs(g->end) <= dal__event_rounding(g)) {
         *found -= 1; /* at the end, where g is still on the side before: the next step finds it */
         return DAL_SUCCESS;
     }
-    return here.side == 0 ? DAL_SUCCESS : add(e, event, 1.0, -here.side, found);
+    const double theta = isnan(here.zero_since) ? 1.0 : theta_at(e, here.zero_since);
+    return add(e, event, theta, -here.side, found);
 }
 
 /* ---- the crossings of a span --------------------------------------------------------------- */
@@ -401,12 +406,14 @@ static int compare_places(const void *a, const void *b)
 int dal__find_crossings(dal_events *e, size_t *found)
 {
     *found = 0;
-    for (size_t i = 0; e->from < 1.0 && i < e->count; i++) {
+    for (size_t i = 0; i < e->count; i++) {
         const guard *const g = &e->guards[i];
         const size_t before = *found;
         int status = DAL_EDOMAIN;
         if (g->due || g->jumped) {
             status = add(e, i, e->from, -g->side, found);
+        } else if (e->from >= 1.0) {
+            continue;
         } else if (e->along[i]) {
             status = find_by_series(e, i, found);
             if (status == DAL_EDOMAIN) *e->error = (dal_error){0};

@@ -9,6 +9,7 @@
 enum { SAVED = 5 };      /* numbers of a guard */
 #define SAME 1e-6        /* an event elsewhere, as part of its size */
 #define TOGETHER 0x1p-44 /* parts of a step that differ by no more are the same */
+#define RUSH 0x1p17      /* roundings of the time, in which there are fewer resets than the most */
 #define AT_REST 0x1p-20  /* a rate after a reset is none, as part of that before it */
 
 /* ---- making -------------------------------------------------------------------------------- */
@@ -104,7 +105,8 @@ void dal__events_forget(dal_events *events)
 {
     for (size_t i = 0; i < events->count; i++) events->guards[i] = (guard){0};
     events->known = events->valued = false;
-    events->doubts = events->times_done = events->step = 0;
+    events->doubts = events->times_done = events->step = events->rush = 0;
+    events->rush_began = (double)NAN;
 }
 
 size_t dal_events_doubts(const dal_events *events, size_t *event, double *t, double *g)
@@ -176,7 +178,10 @@ static void settle(dal_events *e)
     for (size_t i = 0; i < e->count; i++) {
         guard *const g = &e->guards[i];
         const int side = dal__sign(g->end);
-        if (!g->waits || side == g->side) {
+        const bool is_rounding = side != 0 && fabs(g->end) <= dal__event_rounding(g);
+        if (!g->waits && is_rounding && (g->side == 0 || e->along[i])) {
+            /* a rounding does not tell the side */
+        } else if (!g->waits || side == g->side) {
             g->side = side;
             g->waits = false;
         }
@@ -303,6 +308,11 @@ static int begin_anew(dal_events *e, const crossing *c, const happening *now, bo
     if (!status && !jumped)
         status = dal__event_rate(e, c->event, c->theta, now->x, at, -1.0, &rate);
     if (status) return status;
+    const bool is_rounding = fabs(rate) <= dal__event_rounding(&e->guards[c->event]);
+    if (is_rounding && rate * c->to < 0.0) { /* it has crossed by a rounding */
+        e->from = c->theta;
+        return dal__event_rests(e, c->event, "rate of g: %g", rate / e->h);
+    }
 
     memcpy(e->begin, now->after, 2 * e->n * sizeof *e->begin);
     memcpy(e->x, now->after, 2 * e->n * sizeof *e->x);
@@ -389,6 +399,14 @@ static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, 
         return dal__fail(e->error, DAL_EZENO, "event %zu, t = %g: %d resets in one step of h = %g. "
                          "End the run before they accumulate with a terminal event, or take a "
                          "smaller h", c->event, now->t, (int)DAL_MOST_RESETS, e->h);
+    if (!(fabs(now->t - e->rush_began) <= RUSH * DAL_ROUNDOFF * fabs(now->t))) {
+        e->rush_began = now->t;
+        e->rush = 0;
+    } else if (++e->rush == DAL_MOST_RESETS) {
+        return dal__fail(e->error, DAL_EZENO, "event %zu, t = %g: %d resets at times that doubles "
+                         "hardly tell apart. End the run before they accumulate with a terminal "
+                         "event", c->event, now->t, (int)DAL_MOST_RESETS);
+    }
     for (size_t k = 1; k <= later && c[k].theta <= c->theta + TOGETHER; k++)
         if (c[k].event != c->event) e->guards[c[k].event].due = true;
     if (dal__run_varies(run)) end_step(run, now->t);

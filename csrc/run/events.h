@@ -58,6 +58,8 @@ struct dal_events {
     size_t room;
     happening *happened;        /* [room_happened] in this step */
     size_t happenings, room_happened, resets;
+    double rush_began;          /* since then resets have followed so fast on one another, and */
+    size_t rush;                /* there were so many */
     double *states;             /* [room_happened*4n] those before and after */
     size_t step;                /* steps before it */
     size_t times_done;          /* of the run */

@@ -19,8 +19,13 @@ enum { INSIDE = 15 };
 static const double BEFORE_SWITCH = 1.0 - 0x1p-20; /* where g may jump */
 static const double ALLOWED = 1e-8, UNSURE = 100.0, ROUNDED = 0x1p-50;
 
+/* Times of one zero differ by no more, in parts of the part before. */
+static const double SAME_TIME = 1e-9;
+
+static const double NONE = -1.0; /* no value is as near to zero as that */
+
 /* Parts that are shorter, in parts of the piece, lead to where g has no series. */
-static const double GAP = 0x1p-30;
+static const double GAP = 0x1p-30, WIDEST_GAP = 0x1p-10;
 
 struct dal__along {
     const dal_event *event;
@@ -32,6 +37,9 @@ struct dal__along {
     double unit, next_unit;         /* of the coefficients, and of those of the next part */
     size_t at_switch;               /* at which the part ends, or the number of switches */
     dal__found found;
+    double zero_since;              /* the time since which g is zero, or NaN */
+    double length;                  /* of the part before, */
+    bool ends;                      /* which ends with zero */
     double *t;                      /* [room] */
     size_t room;
     arena arena;
@@ -74,7 +82,12 @@ void dal__along_free(dal__along *self)
     dal__release(&self->arena);
 }
 
-dal__found dal__along_found(const dal__along *self) { return self->found; }
+dal__found dal__along_found(const dal__along *self)
+{
+    dal__found found = self->found;
+    found.zero_since = self->zero_since;
+    return found;
+}
 
 /* ---- coefficients ------------------------------------------------------------------------ */
 
@@ -215,30 +228,60 @@ static int add(dal__along *self, double t, dal_error *error)
     return DAL_SUCCESS;
 }
 
-/* The changes of sign in a part of so many units from t, which is a zero of g if it leaves one. */
-static int look_into(dal__along *self, const dal__piece *piece, double t, double units,
-                     bool leaves_zero, dal_error *error)
+/* The signs in a part of so many units from t; a first value of no more than zero is zero. */
+static dal__sign_changes signs_in(const dal__along *self, const dal__piece *piece, double units,
+                                  double zero)
 {
     double c[DAL_ROOTS_MOST + 1], power = 1.0, rest = 0.0;
-    const size_t first = leaves_zero, order = piece->order - first;
-    for (size_t k = 0; k <= order; k++, power *= units) {
-        c[k] = power * self->coefficients[(k + first) * self->series->width];
+    const size_t width = self->series->width;
+    for (size_t k = 0; k <= piece->order; k++, power *= units) {
+        c[k] = power * self->coefficients[k * width];
         rest += k > 0 ? fabs(c[k]) : 0.0;
     }
     const double noise = piece->tolerance * (fabs(c[0]) + rest);
-    const double direction = leaves_zero && units < 0.0 ? -1.0 : 1.0;
     dal__sign_changes here = {.touch = (double)NAN};
-    if (fabs(c[0]) - noise > rest) here.first = here.last = c[0] > 0.0 ? 1 : -1;
-    else dal__find_sign_changes(order, c, noise, &here);
-    here.first *= (int)direction;
-    here.last *= (int)direction;
+    if (fabs(c[0]) - noise > rest) {
+        here.first = here.last = c[0] > 0.0 ? 1 : -1;
+    } else if (fabs(c[0]) <= zero) { /* g/s, with the sign of g for s > 0 */
+        dal__find_sign_changes(piece->order - 1, c + 1, noise, &here);
+    } else {
+        dal__find_sign_changes(piece->order, c, noise, &here);
+    }
+    return here;
+}
+
+/* The changes of sign in that part. */
+static int look_into(dal__along *self, const dal__piece *piece, double t, double units,
+                     double zero, dal_error *error)
+{
+    dal__found *const found = &self->found;
+    const dal__sign_changes here = signs_in(self, piece, units, zero);
+    const double length = units * self->unit;
     int status = DAL_SUCCESS;
-    if (here.first * self->found.last < 0) status = add(self, t, error);
+    if (here.first == 0) { /* zero all along */
+        if (isnan(self->zero_since)) self->zero_since = t;
+        return DAL_SUCCESS;
+    }
+    const double since = isnan(self->zero_since) ? t : self->zero_since;
+    const bool is_at_zero = !isnan(self->zero_since) || (self->ends && here.begins);
+    const bool is_late = found->count > 0
+        && fabs(found->t[found->count - 1] - t) <= SAME_TIME * fabs(self->length);
+    if (here.first * found->last < 0 && is_late && self->ends) {
+        found->count--; /* at a kink that is a zero, both sides have it */
+        if (isnan(found->touch)) found->touch = t;
+    } else if (here.first * found->last < 0) {
+        status = add(self, since, error);
+    } else if (found->last != 0 && is_at_zero && !is_late && isnan(found->touch)) {
+        found->touch = since;
+    }
+    self->zero_since = (double)NAN;
     for (size_t k = 0; !status && k < here.count; k++)
-        status = add(self, t + here.at[k] * units * self->unit, error);
-    if (self->found.first == 0) self->found.first = here.first;
-    if (here.last != 0) self->found.last = here.last;
-    if (isnan(self->found.touch)) self->found.touch = t + here.touch * units * self->unit;
+        status = add(self, t + here.at[k] * length, error);
+    if (found->first == 0) found->first = here.first;
+    found->last = here.last;
+    if (isnan(found->touch)) found->touch = t + here.touch * length;
+    self->ends = here.ends;
+    self->length = length;
     return status;
 }
 
@@ -269,6 +312,8 @@ static int pass(dal__along *self, const dal__piece *piece, double t, double end,
     const int other = (high > 0.0) - (high < 0.0);
     if (self->found.first == 0) self->found.first = side;
     self->found.last = other != 0 ? other : side;
+    self->ends = other == 0;
+    self->length = end - t;
     if (side * other >= 0) return DAL_SUCCESS;
     for (;;) {
         const double middle = before + 0.5 * (after - before);
@@ -284,12 +329,15 @@ static void begin(dal__along *self, const dal__piece *piece)
 {
     self->unit = piece->unit;
     self->found = (dal__found){.touch = (double)NAN};
+    self->zero_since = (double)NAN;
+    self->length = 0.0;
+    self->ends = false;
     dal__clear(self->series->switches, self->side);
     dal__clear(self->series->switches, self->crossed);
 }
 
 int dal__along_look(dal__along *self, const dal__piece *piece, double from, double to,
-                    bool leaves_zero, dal__watch *watch, dal_error *error)
+                    double zero, dal__watch *watch, dal_error *error)
 {
     const double direction = to < from ? -1.0 : 1.0;
     const double least = GAP * fabs(piece->end - piece->t);
@@ -311,14 +359,14 @@ int dal__along_look(dal__along *self, const dal__piece *piece, double from, doub
         if (is_gap) {
             const double length = fmax(gap, 64.0 * DAL_ROUNDOFF * fabs(t));
             end = length >= fabs(to - t) ? to : t + direction * length;
-            gap *= 2.0;
+            gap = fmin(2.0 * gap, WIDEST_GAP / GAP * least);
             self->next_unit = piece->unit;
             self->at_switch = self->series->switches;
             dal__clear(self->series->switches, self->side);
             status = pass(self, piece, t, end, error);
         } else {
             gap = least;
-            status = look_into(self, piece, t, direction * units, leaves_zero && t == from, error);
+            status = look_into(self, piece, t, direction * units, t == from ? zero : NONE, error);
         }
         if (status) return status;
         cross(self, true);

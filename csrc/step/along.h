@@ -13,11 +13,11 @@ int dal__along_new(dal__along **self, const dal_event *event, const dal_series *
                    dal_error *error);
 void dal__along_free(dal__along *self);
 
-/* Finds where g changes its sign in the piece, from a time to another.  leaves_zero: g is zero at
- * the beginning, but for roundoff.  DAL_EDOMAIN if g has no series there; DAL_ENOMEM; the errors of
- * the watch. */
+/* Finds where g changes its sign in the piece, from a time to another.  A value at the beginning of
+ * no more than `zero` is zero, and left; < 0: none is.  DAL_EDOMAIN if g has no series there;
+ * DAL_ENOMEM; the errors of the watch. */
 int dal__along_look(dal__along *self, const dal__piece *piece, double from, double to,
-                    bool leaves_zero, dal__watch *watch, dal_error *error);
+                    double zero, dal__watch *watch, dal_error *error);
 
 /* What has been found, until the next look: the times in the order of the motion, the sign of g at
  * both ends, and a time at which g touches zero, or is too near to tell; or NaN. */
@@ -26,6 +26,7 @@ typedef struct dal__found {
     const double *t;
     int first, last;
     double touch;
+    double zero_since; /* the time since which g is zero up to the end, or NaN */
 } dal__found;
 dal__found dal__along_found(const dal__along *self);
 

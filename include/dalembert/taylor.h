@@ -13,8 +13,8 @@ DAL_BEGIN_DECLARATIONS
 /* <cdef> */
 /* ---- dense output -------------------------------------------------------------------------- */
 
-/* The polynomials of a motion.  A step of the default tolerance takes some 220 (2n - m) bytes for
- * each piece. */
+/* The polynomials of a motion.  With the default tolerance each takes 264 bytes for each of the
+ * numbers (q, w).  Their count is rounded up to a multiple of four. */
 typedef struct dal_taylor_dense dal_taylor_dense;
 
 /* Creates them for motions of a system, of a scheme of the family taylor.

@@ -394,8 +394,9 @@ class IntegrateOptions(Watching, Events, Inputs, Sampling, Step, Extent, Size, O
         preserves.""", parse=list, metavar="T,T,...")
     dense: bool = option("bool", """
         True: keep the polynomials of the steps of "taylor", from which ``run(t)`` then takes its
-        states, in less than a microsecond each.  A step takes some 220 (2n - m) bytes;
-        ``run.dense.nbytes`` is the memory of all.""", default=False, uses="own flow")
+        states, in about a microsecond each.  A step takes 300 bytes for each of the 2n - m numbers
+        of a state on D, rounded up to a multiple of four; ``run.dense.nbytes`` is the memory of
+        all.""", default=False, uses="own flow")
     journal: str | os.PathLike[str] | None = option("str or path", """
         A new file for the results.  Stored states are written several times a second, and every
         five seconds a snapshot.  After a crash, `load` returns the states in the file, and `resume`

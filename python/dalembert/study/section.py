@@ -131,7 +131,7 @@ class Section:
         >>> import dalembert as dal
         >>> x, y, z = dal.coordinates("x y z")
         >>> section = dal.section(dal.systems.contact_oscillator(), x)
-        >>> section.map([0, 1, 0], [1, 0, 1]).derivative.shape
+        >>> section.map([0, 1, 0], [1, 0, -1]).derivative.shape
         (6, 5)
         """
         x0 = geometry.initial_state(self.system, q, v, "q", "v")
@@ -452,7 +452,7 @@ def section(
     Returns
     -------
     Section
-        Has `points`, `map` and `orbit`.
+        Has the methods points, map and orbit.
 
     Examples
     --------

@@ -249,14 +249,18 @@ class Series:
         """Find the series that functions need besides their arguments, and the switches."""
         changing = mask_of([*self.states, *self.given, self.time])
         left = below([*self.states, *self.states.values(), *self.functions])
+        divisors = {*below(e.args[1] for e in left if e.op == "/")}
         while left:
             e = left.pop()
             graph = e.graph
             if e in self.other or e in self.sides or not e.reach & changing:
                 continue
             if e.op in _EXPONENTIAL:
-                signs = (1,) if e.op == "exp" else (1, -1)
+                signs = (1, -1) if e.op != "exp" or e in divisors else (1,)
                 self.exponents |= {_times(sign, e.args[0]): None for sign in signs}
+            elif e.op == "tanh":  # differs from 1 or -1 by an exponential of twice the argument
+                twice = graph.make("+", e.args[0], e.args[0])
+                self.exponents |= {_times(sign, twice): None for sign in (1, -1)}
             if e.op in RULES:
                 found = self.other[e] = RULES[e.op].other(graph, e.args[0], e)
             elif e.op == "atan2":

@@ -171,3 +171,83 @@ def test_no_series():
     run = dal.integrate(SWING, **DATA, t_end=10, events=[sp.sqrt(sp.Max(0, x)) - sp.Rational(1, 4)])
     expected = truth(x - sp.Rational(1, 16), 10)
     np.testing.assert_allclose(run.t_events[0], expected, rtol=0, atol=1e-12)
+
+
+FREE = plane()
+START = {"q0": [0, 0], "v0": [1, 0]}  # x = t
+
+
+def crossings(g, t_end=10, **given):
+    return dal.integrate(FREE, "taylor", **START, t_end=t_end, events=[g], **given).t_events[0]
+
+
+@pytest.mark.parametrize("g, zeros", [
+    (sp.tanh(50 * ((x - 5) ** 2 - 1)), [4, 6]),
+    (sp.tanh(50 * (x - 5)) * sp.tanh(50 * (x - 6)), [5, 6]),
+    (1 / (1 + sp.exp(50 * ((x - 5) ** 2 - 1))) - sp.Rational(1, 2), [4, 6]),
+    (1 / sp.cosh(1000 * (x - 5)) - sp.Rational(1, 2),
+     [5 - math.acosh(2) / 1000, 5 + math.acosh(2) / 1000]),
+    (1 / (x - sp.Rational(51, 10)) - 1, [5.1, 6.1]),
+    (sp.log(sp.Abs(x - sp.Rational(51, 10))), [4.1, 6.1]),
+    (sp.sqrt(sp.Abs(x - sp.Rational(51, 10))) - 1, [4.1, 6.1]),
+    (sp.tan(x), np.arange(1, 7) * math.pi / 2),
+    (sp.sqrt(x + sp.Rational(1, 10**9)) - sp.Rational(1, 1000), [999e-9]),
+    (sp.atan2(sp.sin(x), sp.cos(x)) - 1, [1, math.pi, 1 + 2 * math.pi, 3 * math.pi]),
+])  # fmt: skip
+@pytest.mark.parametrize("sizes", [{}, {"h": 2.5}])
+def test_hidden_and_singular(g, zeros, sizes):
+    np.testing.assert_allclose(crossings(g, **sizes), zeros, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("sizes", [{}, {"h": 0.5}])
+def test_a_sign_that_is_zero_at_the_start(sizes):
+    np.testing.assert_allclose(crossings((x - 3) * sp.sign(x), 5, **sizes), [3], rtol=1e-15)
+    first = (math.pi - 1) / 20
+    found = crossings(sp.sin(20 * x + 1) * sp.sign(x), 1, **sizes)
+    np.testing.assert_allclose(found[:2], [first, first + math.pi / 20], rtol=1e-14)
+
+
+@pytest.mark.parametrize("sizes", [{}, {"h": 0.4}])
+def test_flat_guards(sizes):
+    """A guard that comes to zero and stays there has reached it then."""
+    flat = dal.Event(sp.Max(0, 5 - x), terminal=True)
+    run = dal.integrate(FREE, "taylor", **START, t_end=10, events=[flat], **sizes)
+    assert abs(run.t[-1] - 5) < 1e-14
+
+
+@pytest.mark.parametrize("sizes", [{}, {"h": 0.3}])
+@pytest.mark.parametrize("g", [sp.Abs(x - sp.Rational(41, 10)), sp.Abs(sp.sin(x))])
+def test_touches_with_kinks(g, sizes):
+    with pytest.warns(dal.DalembertWarning, match="comes close to zero"):
+        assert len(crossings(g, 6, **sizes)) == 0
+
+
+@pytest.mark.parametrize("given", [{"h": 0.01}, {"h": 0.1}, {"h": 0.25}, {}])
+@pytest.mark.parametrize("part", [0.5, 0.8])
+def test_the_ball_stays_above_the_floor(given, part):
+    fall = plane(x)
+    bounce = dal.Event(x, direction=-1, reset={x.d: -part * x.d})
+    with pytest.raises(dal.ZenoError) as raised:
+        dal.integrate(fall, "taylor", [1, 0], [0, 0.1], t_end=20, events=[bounce], **given)
+    end = math.sqrt(2) * (1 + 2 * part / (1 - part))
+    assert abs(raised.value.partial.t[-1] - end) < 0.3
+    assert raised.value.partial.q[:, 0].min() > -1e-12
+
+
+@pytest.mark.parametrize("given", [{"h": 0.25}, {"h": 0.2}, {"h": 1}, {"h": 0.3}, {}])
+def test_a_corner(given):
+    """Both walls are met at one time, which may be the end of a step."""
+    walls = [dal.Event(s - 1, reset={s.d: -s.d}) for s in (x, y)]
+    scheme = "taylor" if given.get("h") != 0.2 else "leapfrog"
+    run = dal.integrate(FREE, scheme, [0, 0], [1, 1], t_end=3, events=walls, **given)
+    np.testing.assert_allclose(run.x[-1], [-1, -1, -1, -1], rtol=0, atol=1e-13)
+    assert [len(found) for found in run.t_events] == [1, 1]
+
+
+@pytest.mark.parametrize("place", [0.1, 0.37, 0.5, 0.9, 0.77])
+def test_once_beside_a_reset(place):
+    swing = plane((x**2 + y**2) / 2)
+    events = [dal.Event(x - place, reset={x.d: x.d}), y - place]
+    run = dal.integrate(swing, "taylor", [0, 0], [1, 1], t_end=30, events=events)
+    assert abs(len(run.t_events[0]) - len(run.t_events[1])) <= 1
+    assert (np.diff(run.t_events[1]) > 1e-3).all()

@@ -412,6 +412,20 @@ def test_a_wall_is_not_passed_through(exponent, U, t_end):
         np.testing.assert_allclose(run.q[-1], known.q[-1], rtol=0, atol=1e-6)
 
 
+def test_saturated_functions():
+    """A tanh far from zero hides the force that comes."""
+    hill = dal.System.from_sympy(
+        x.d**2 / 2 - sp.tanh(50 * ((x - 5) ** 2 - 1)) / 9, coordinates=[x]
+    )
+    for q, far in ((3.4, 9.73634871), (3.9, 10.23634871)):
+        run = dal.integrate(hill, "taylor", [q], [1], t_end=6)
+        assert abs(run.q[-1, 0] - far) < 1e-8
+    brake = dal.System.from_sympy(
+        x.d**2 / 2, force={x: -sp.tanh(40 * (x - 2)) + sp.tanh(40 * (x - 3))}, coordinates=[x]
+    )
+    assert abs(dal.integrate(brake, "taylor", [0], [3], t_end=6).v[-1, 0] - math.sqrt(5)) < 1e-12
+
+
 def fall(s, height=1.0):
     """Return x at s in the potential |x|, from rest at a height: parabolas from turn to turn."""
     quarter = np.sqrt(2 * height)
