@@ -337,7 +337,7 @@ static int look_at_piece(const dal__piece *piece, double from, double to, void *
     self->zero_since = found.zero_since;
     if (self->side == 0) self->side = found.first;
     if (self->side * found.first < 0) {
-        if (e->guards[self->event].waits && zero > 0.0)
+        if (isinf(zero))
             return dal__event_rests(e, self->event, "g goes to the side %g", found.first);
         status = add(e, self->event, theta_at(e, from), -self->side, self->found);
         self->side *= -1;
@@ -359,7 +359,8 @@ static int find_by_series(dal_events *e, size_t event, size_t *found)
     const guard *const g = &e->guards[event];
     const double from = dal__time_at(e, e->from), to = dal__time_at(e, 1.0);
     const size_t before = *found;
-    const double zero = g->waits ? HUGE_VAL : g->side == 0 ? dal__event_rounding(g) : -1.0;
+    const double rounding = fmax(dal__event_rounding(g), 8.0 * g->near);
+    const double zero = g->waits ? HUGE_VAL : rounding;
     look here = {.events = e, .event = event, .found = found, .side = g->side, .zero = zero,
                  .zero_since = (double)NAN};
     dal__piece piece;

@@ -10,6 +10,7 @@ enum { SAVED = 5 };      /* numbers of a guard */
 #define SAME 1e-6        /* an event elsewhere, as part of its size */
 #define TOGETHER 0x1p-44 /* parts of a step that differ by no more are the same */
 #define RUSH 0x1p17      /* roundings of the time, in which there are fewer resets than the most */
+#define NEAREST 1e-12    /* g at a zero is no more, as part of its size */
 #define AT_REST 0x1p-20  /* a rate after a reset is none, as part of that before it */
 
 /* ---- making -------------------------------------------------------------------------------- */
@@ -178,7 +179,8 @@ static void settle(dal_events *e)
     for (size_t i = 0; i < e->count; i++) {
         guard *const g = &e->guards[i];
         const int side = dal__sign(g->end);
-        const bool is_rounding = side != 0 && fabs(g->end) <= dal__event_rounding(g);
+        const double rounding = fmax(dal__event_rounding(g), 8.0 * g->near);
+        const bool is_rounding = side != 0 && fabs(g->end) <= rounding;
         if (!g->waits && is_rounding && (g->side == 0 || e->along[i])) {
             /* a rounding does not tell the side */
         } else if (!g->waits || side == g->side) {
@@ -284,7 +286,8 @@ static int leave(dal_events *e, size_t event, double at, double rate)
  * way of its own from there; or, as one that has crossed before, on neither side. */
 static void pass(guard *g)
 {
-    const bool small = fabs(g->begin) <= 1024.0 * dal__event_rounding(g);
+    const double rounding = fmax(dal__event_rounding(g), g->near);
+    const bool small = fabs(g->begin) <= 1024.0 * rounding;
     if (g->due || (g->waits && small)) return;
     g->side = small && g->crossed ? 0 : dal__sign(g->begin);
     g->waits = g->crossed = false;
@@ -379,6 +382,16 @@ static int make_room(dal_events *e)
     return DAL_SUCCESS;
 }
 
+/* How near to zero g is there: unless it jumps, by the rounding of the time. */
+static void find_nearness(dal_events *e, size_t event, const happening *now)
+{
+    const dal_event *const one = &e->list[event];
+    guard *const g = &e->guards[event];
+    double at = (double)NAN;
+    const bool is_known = one->g(now->t, now->x, &at, one->ctx) == 0 && isfinite(at);
+    g->near = is_known ? fmin(fabs(at), NEAREST * g->size) : 0.0;
+}
+
 /* What happens at a crossing; *anew: in a span that begins there.  Those after it are [later]. */
 static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, bool *anew)
 {
@@ -393,6 +406,7 @@ static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, 
     if (status) return status;
     happening *const now = &e->happened[e->happenings++];
     status = enter(e, run, c, now);
+    if (!status && e->along[c->event]) find_nearness(e, c->event, now);
     *anew |= now->reset;
     if (status || !now->reset) return status;
     if (e->resets++ == DAL_MOST_RESETS)

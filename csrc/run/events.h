@@ -23,6 +23,7 @@ typedef struct guard {
     bool crossed;    /* in this span */
     size_t happened;
     double size;     /* the largest |g| seen */
+    double near;     /* |g| at its last crossing, which the rounding of the time leaves */
     double begin, end; /* g at the ends of the span */
 } guard;
 
