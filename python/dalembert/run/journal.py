@@ -330,7 +330,8 @@ class Journal:
     def _events(self, records: Any) -> Happened:
         """Return the events in the records; one after a reset follows on that of its event."""
         ends = np.flatnonzero(records["kind"] == lib.DAL_RECORD_AFTER)
-        found = np.flatnonzero(records["kind"] == lib.DAL_RECORD_EVENT)
+        kinds = lib.DAL_RECORD_EVENT, lib.DAL_RECORD_RESET
+        found = np.flatnonzero(np.isin(records["kind"], kinds))
         x = np.array(records["x"][found])
         after = np.full_like(x, np.nan)
         after[np.searchsorted(found, ends) - 1] = records["x"][ends]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import sympy
 from numpy.typing import ArrayLike
 
 from .. import geometry
@@ -23,14 +22,13 @@ from ..core import (
 from ..run import Event, Scheme, integrate, variations
 from ..run.laws import is_expression
 from ..symbolic import event
-from ..symbolic.printing import function
-from ..symbolic.symbols import TIME
 from ..system import System
 from ..system.twins import twin
 
 _ITERATIONS, _HALVINGS, _TO_SECTION = 50, 8, 4
 _CLOSE = 1e-12  # of an orbit, relative to the size of the state
 _NEARBY = 1e-8  # so near a section, relative to the size of the state, a start is in it
+_JUMPS = "sign", "Heaviside", "Piecewise"
 _AT_REST = 1e-9  # a rate, relative to the size of the state
 _RANK = 1e-9  # singular values below belong to families of orbits
 
@@ -240,6 +238,11 @@ class Section:
     @functools.cached_property
     def _slopes(self) -> Any:
         """A function of (t, q, v, p): g, its derivatives by q and v, and by t."""
+        import sympy
+
+        from ..symbolic.printing import function
+        from ..symbolic.symbols import TIME
+
         model = event.model(self.system, [("g", self.g)])
         (g,) = model.invariants
         symbols = [*model.q, *model.v, TIME]
@@ -467,7 +470,9 @@ def section(
     require_system(system)
     if not is_expression(g) or not g.free_symbols:
         raise ValueError(f"g = {arguments.shown(g)}: expected a SymPy expression in the state")
-    if g.has(sympy.sign, sympy.Heaviside, sympy.Piecewise):
+    import sympy
+
+    if any(type(e).__name__ in _JUMPS for e in sympy.preorder_traversal(g)):
         raise ValueError(f"g = {g}: expected an expression without jumps")
     names = [*system.coordinates, *(f"v_{name}" for name in system.coordinates)]
     chosen = names if returning is None else arguments.names(returning, "returning", "names")

@@ -53,7 +53,7 @@ def values(option, folder):
         "consistent": "project", "initial": "shift", "max_iterations": 1, "energy": "keep",
         "method": "msadams", "tolerance": 1e-4, "h_max": 0.01, "eps": 0.1,
         "inputs": [3.0], "hold": 2, "journal_errors": "stop", "throw": False,
-        "check_h": True,
+        "check_h": True, "dense": True,
         "events": [lambda t, q, v: q[0] - 0.5], "journal": folder / "run.dal",
         "observer": lambda step, t, q, v: seen.append(t),
         "progress": lambda done, total: seen.append(done),
