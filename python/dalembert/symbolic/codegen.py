@@ -8,6 +8,7 @@ common subexpressions of its outputs once, and those of a single output only if 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -147,7 +148,7 @@ def program(
     if varied:
         variations(body, model, motion(model), varied)
     if of is not None:
-        along(body, of, motion(of), [of.derived.read(e) for e in model.invariants])
+        along(body, of, _motion_of(of), [of.derived.read(e) for e in model.invariants])
     if any("MODEL_CUT" in line for line in body.lines):
         made.add(_CUT)
     for helper, rest in _HELPERS.items():
@@ -169,6 +170,8 @@ def program(
         constructor(made, model, definition, name, system, compact)
     return made
 
+
+_motion_of = functools.lru_cache(maxsize=16)(motion)  # of the runs of several events
 
 VARIED = {"variations": 1, "second variations": 2}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import random
 from collections.abc import Sequence
@@ -44,7 +43,6 @@ class Motion:
     in_D: bool
 
 
-@functools.lru_cache(maxsize=16)
 def motion(model: Model) -> Motion:
     """Return the motion of a model: on D if a basis of D is found, and agrees with the multipliers.
     """
