@@ -21,7 +21,7 @@ from ..core import (
 )
 from ..run import Event, Scheme, integrate, variations
 from ..run.laws import is_expression
-from ..symbolic import event
+from ..symbolic import event, printing, symbols
 from ..system import System
 from ..system.twins import twin
 
@@ -240,14 +240,12 @@ class Section:
         """A function of (t, q, v, p): g, its derivatives by q and v, and by t."""
         import sympy
 
-        from ..symbolic.printing import function
-        from ..symbolic.symbols import TIME
-
+        time = symbols.TIME
         model = event.model(self.system, [("g", self.g)])
         (g,) = model.invariants
-        symbols = [*model.q, *model.v, TIME]
-        of = {"t": TIME, "q": model.q, "v": model.v, "p": model.p}
-        return function(of, [g, *(sympy.diff(g, s) for s in symbols)])
+        of = {"t": time, "q": model.q, "v": model.v, "p": model.p}
+        slopes = (sympy.diff(g, s) for s in (*model.q, *model.v, time))
+        return printing.function(of, [g, *slopes])
 
     def _slopes_at(self, x: Array, t: float) -> tuple[float, Array, float]:
         """Return g, its gradient, and its derivative by t."""

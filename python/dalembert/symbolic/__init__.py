@@ -17,6 +17,7 @@ given = Later(__name__, "given")
 jumps = Later(__name__, "jumps")
 mechanisms = Later(__name__, "mechanisms")
 model = Later(__name__, "model")
+printing = Later(__name__, "printing")
 symbols = Later(__name__, "symbols")
 
 
