@@ -87,7 +87,7 @@ def wave(lo: Any, hi: Any) -> tuple[Any, Any]:
 
 
 class Number:
-    """What intervals and sizes have in common."""
+    """Operators that intervals and sizes derive from their sums, products and powers."""
 
     def __radd__(self, other: Any) -> Any:
         return self + other

@@ -84,8 +84,8 @@ typedef struct dal__sign_changes {
                                   too close to tell; or NaN */
 } dal__sign_changes;
 
-/* The places where sum c_k s^k, k <= order <= DAL_ROOTS_MOST, changes its sign.  What is not more
- * than noise, or the rounding of the sum, is zero. */
+/* The places where sum c_k s^k, k <= order <= DAL_ROOTS_MOST, changes its sign.  Values up to
+ * noise, or up to the rounding of the sum, count as zero. */
 void dal__find_sign_changes(size_t order, const double *c, double noise,
                             dal__sign_changes *found);
 

@@ -10,6 +10,11 @@
 enum { HALVINGS = 40 };
 static const double LEAST_WIDTH = 0x1p-40;
 
+/* The rounding of a coefficient is at most order + 1 units of the sum of all sizes, and much less
+ * at high orders, where roundings do not all have one sign.  Measured along 4,000 motions against
+ * 50 digits: with 8 no crossing was missed or false, with 16 two were missed. */
+static const double ROUNDINGS = 8.0;
+
 /* An interval, and the Bernstein coefficients of the polynomial there. */
 typedef struct interval {
     double begin, width;
@@ -120,7 +125,8 @@ void dal__find_sign_changes(size_t order, const double *c, double noise,
     size_t depth = 1;
     bool ends = false; /* the interval before, with noise */
     *found = (dal__sign_changes){.touch = (double)NAN};
-    noise += (double)(order + 1) * DAL_ROUNDOFF * dal__sum_of_sizes(order + 1, c);
+    noise += fmin((double)(order + 1), ROUNDINGS) * DAL_ROUNDOFF
+           * dal__sum_of_sizes(order + 1, c);
     stack[0].begin = 0.0;
     stack[0].width = 1.0;
     into_bernstein(order, c, stack[0].b);

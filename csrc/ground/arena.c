@@ -1,4 +1,4 @@
-/* One allocation carved into arrays; the only malloc of the library. */
+/* One allocation carved into arrays; and arrays that grow. */
 #include "ground/ground.h"
 
 #include <assert.h>
@@ -47,6 +47,20 @@ int dal__allocate(arena *a, dal_error *error)
         void *array = base + a->part[i].offset;
         memcpy(a->part[i].slot, &array, sizeof array); /* all object pointers look alike */
     }
+    return DAL_SUCCESS;
+}
+
+int dal__grow(void *slot, size_t count, size_t *room, size_t size, dal_error *error)
+{
+    void *array;
+    if (count < *room) return DAL_SUCCESS;
+    const size_t larger = *room > 0 ? dal__times(2, *room) : 16, bytes = dal__times(larger, size);
+    memcpy(&array, slot, sizeof array);
+    array = realloc(array, bytes);
+    if (!array)
+        return dal__fail(error, DAL_ENOMEM, "out of memory: could not allocate %zu bytes", bytes);
+    memcpy(slot, &array, sizeof array);
+    *room = larger;
     return DAL_SUCCESS;
 }
 

@@ -138,6 +138,9 @@ void dal__reserve_doubles(arena *a, size_t slots, double **const slot[], size_t 
                          count)
 /* Zero-filled memory for all that was reserved; DAL_ENOMEM. */
 int dal__allocate(arena *a, dal_error *error);
+/* Room for one more element of size bytes in *slot, which has count: doubles the array where it is
+ * full.  Free it by free().  DAL_ENOMEM. */
+int dal__grow(void *slot, size_t count, size_t *room, size_t size, dal_error *error);
 /* The arena may be part of what lies in its memory. */
 void dal__release(arena *a);
 

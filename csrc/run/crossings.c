@@ -179,16 +179,10 @@ static int find_zero(search *s, double *theta)
 
 static int add(dal_events *e, size_t event, double theta, int to, size_t *found)
 {
-    if (*found == e->room) {
-        const size_t room = e->room > 0 ? 2 * e->room : 16;
-        crossing *const larger = realloc(e->crossings, dal__times(room, sizeof *larger));
-        if (!larger) return dal__fail(e->error, DAL_ENOMEM, "no memory for %zu events in a step",
-                                      room);
-        e->crossings = larger;
-        e->room = room;
-    }
-    e->crossings[(*found)++] = (crossing){.event = event, .theta = theta, .to = to};
-    return DAL_SUCCESS;
+    const int status = dal__grow(&e->crossings, *found, &e->room, sizeof *e->crossings, e->error);
+    if (!status)
+        e->crossings[(*found)++] = (crossing){.event = event, .theta = theta, .to = to};
+    return status;
 }
 
 /* Where event crosses to the side between low and high, at which g is known. */
@@ -387,7 +381,8 @@ static int find_by_series(dal_events *e, size_t event, size_t *found)
 
 /* ---- the crossings of a span --------------------------------------------------------------- */
 
-/* Those of an event by its values at the ends of the span, and within it if they say so. */
+/* The crossings of an event, from its values at the ends of the span.  If those suggest a minimum
+ * between them, it is searched for. */
 static int find_by_values(dal_events *e, size_t event, size_t *found)
 {
     const guard *const g = &e->guards[event];

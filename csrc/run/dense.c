@@ -3,12 +3,12 @@
 #include "step/polynomials.h"
 #include "step/taylor.h"
 
-#include <stdlib.h>
 #include <string.h>
 
 struct dal_taylor_dense {
     dal__polynomials pieces;
     dal_stepper *stepper; /* of the system and scheme, whose workspace is used */
+    arena arena;
 };
 
 int dal_taylor_dense_new(dal_taylor_dense **dense, const dal_system *system,
@@ -16,8 +16,12 @@ int dal_taylor_dense_new(dal_taylor_dense **dense, const dal_system *system,
 {
     int status = DAL__REQUIRE(error, {"dense", dense}, {"system", system}, {"scheme", scheme});
     if (status) return status;
-    dal_taylor_dense *const self = calloc(1, sizeof *self);
-    if (!self) return dal__fail(error, DAL_ENOMEM, "no memory for dense output");
+    dal_taylor_dense *self;
+    arena memory = {0};
+    dal__reserve(&memory, &self, 1, sizeof *self);
+    status = dal__allocate(&memory, error);
+    if (status) return status;
+    self->arena = memory;
     status = dal_stepper_new(&self->stepper, system, scheme, NULL, error);
     if (!status && !dal__taylor_has_pieces(self->stepper))
         status = dal__fail(error, DAL_EUNSUPPORTED, "scheme \"%s\" has no polynomials; choose the "
@@ -35,8 +39,8 @@ void dal_taylor_dense_free(dal_taylor_dense *dense)
 {
     if (!dense) return;
     dal_stepper_free(dense->stepper);
-    free(dense->pieces.block);
-    free(dense);
+    dal__release(&dense->pieces.memory);
+    dal__release(&dense->arena);
 }
 
 /* Whether two steppers have the same scheme, and systems with the same parameters. */

@@ -365,21 +365,16 @@ static int enter(dal_events *e, dal_run *run, const crossing *c, happening *now)
 static int make_room(dal_events *e)
 {
     const size_t N = 2 * e->n, count = e->happenings;
-    if (count == e->room_happened) {
-        const size_t room = count > 0 ? 2 * count : 16;
-        happening *const list = realloc(e->happened, dal__times(room, sizeof *list));
-        if (list) e->happened = list;
-        double *const states = realloc(e->states, dal__times(room, 2 * N * sizeof *states));
-        if (states) e->states = states;
-        if (!list || !states)
-            return dal__fail(e->error, DAL_ENOMEM, "no memory for %zu events in a step", room);
-        e->room_happened = room;
-        for (size_t k = 0; k < room; k++) {
-            e->happened[k].x = e->states + 2 * N * k;
-            e->happened[k].after = e->states + 2 * N * k + N;
-        }
+    const bool is_full = count == e->room_happened;
+    size_t room = e->room_happened;
+    int status = dal__grow(&e->states, count, &room, 2 * N * sizeof *e->states, e->error);
+    if (!status)
+        status = dal__grow(&e->happened, count, &e->room_happened, sizeof *e->happened, e->error);
+    for (size_t k = 0; !status && is_full && k < room; k++) {
+        e->happened[k].x = e->states + 2 * N * k;
+        e->happened[k].after = e->states + 2 * N * k + N;
     }
-    return DAL_SUCCESS;
+    return status;
 }
 
 /* How near to zero g is there: unless it jumps, by the rounding of the time. */

@@ -6,18 +6,16 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* The arrays grow together. */
 static bool make_room(dal_kept_events *self)
 {
-    const size_t room = self->room > 0 ? 2 * self->room : 16;
-    const size_t states = dal__times(dal__times(room, 4 * self->n), sizeof *self->x);
-    size_t *const event = realloc(self->event, dal__times(room, sizeof *event));
-    if (event) self->event = event;
-    double *const t = realloc(self->t, dal__times(room, sizeof *t));
-    if (t) self->t = t;
-    double *const x = realloc(self->x, states);
-    if (x) self->x = x;
-    if (!event || !t || !x) return false;
-    self->room = room;
+    dal_error ignored;
+    size_t rooms[3] = {self->room, self->room, self->room};
+    const size_t count = self->count, size = 4 * self->n * sizeof *self->x;
+    if (dal__grow(&self->event, count, &rooms[0], sizeof *self->event, &ignored)
+        || dal__grow(&self->t, count, &rooms[1], sizeof *self->t, &ignored)
+        || dal__grow(&self->x, count, &rooms[2], size, &ignored)) return false;
+    self->room = rooms[0];
     return true;
 }
 
@@ -27,7 +25,7 @@ int dal_keep_event(size_t event, size_t step, double t, const double *x, const d
     dal_kept_events *const self = kept;
     const size_t N = 2 * self->n;
     (void)step;
-    if (self->count == self->room && !make_room(self)) return -1;
+    if (!make_room(self)) return -1;
     double *const states = self->x + 2 * N * self->count;
     self->event[self->count] = event;
     self->t[self->count++] = t;

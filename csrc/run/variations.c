@@ -80,7 +80,7 @@ static int allocate(dal_taylor_variations **made, dal_stepper *stepper, size_t c
     const dal_system_def *const def = &stepper->motion.system->def;
     const dal_variation_series *const series = def->variations;
     const dal_series *const motion = def->series;
-    const size_t rows = DAL_SERIES_MOST + 1, spare = DAL_COEFFICIENTS_SPARE;
+    const size_t rows = DAL_SERIES_MOST + 1;
     const size_t pairs = columns * (columns + 1) / 2;
     const bool is_second = series->order == 2;
     dal_taylor_variations shape = {.series = series, .n = def->n, .columns = columns,
@@ -95,27 +95,23 @@ static int allocate(dal_taylor_variations **made, dal_stepper *stepper, size_t c
     DAL__RESERVE(&a, 2 * def->n, &shape.x, &shape.moved_x);
     DAL__RESERVE(&a, dal__times(columns, 2 * def->n), &shape.dx);
     DAL__RESERVE(&a, is_second ? dal__times(pairs, 2 * def->n) : 0, &shape.d2x);
-    DAL__RESERVE(&a, motion->width + spare, &shape.y, &shape.low, &shape.change, &shape.rate);
+    DAL__RESERVE(&a, motion->width, &shape.y, &shape.low, &shape.change, &shape.rate);
     DAL__RESERVE(&a, shape.numbers + 2 * def->n, &shape.lane);
     DAL__RESERVE(&a, def->n, &shape.acceleration);
     DAL__RESERVE(&a, 3 * def->n + shape.states, &shape.values);
     DAL__RESERVE(&a, motion->switches, &shape.none, &shape.side);
-    DAL__RESERVE(&a, rows * motion->width + spare, &shape.about);
-    DAL__RESERVE(&a, rows * series->room + spare, &shape.work);
-    DAL__RESERVE(&a, dal__times(FOUR * shape.numbers, shape.blocks) + spare, &all, &before);
-    DAL__RESERVE(&a, rows * FOUR * series->width + spare, &Y);
+    DAL__RESERVE(&a, rows * motion->width, &shape.about);
+    DAL__RESERVE(&a, rows * series->room, &shape.work);
+    DAL__RESERVE(&a, dal__times(FOUR * shape.numbers, shape.blocks), &all, &before);
+    DAL__RESERVE(&a, rows * FOUR * series->width, &Y);
     const int status = dal__allocate(&a, error);
     if (status) return status;
     *self = shape;
     self->arena = a;
     self->stepper = stepper;
-    self->change = dal__aligned(self->change);
-    self->rate = dal__aligned(self->rate);
-    self->about = dal__aligned(self->about);
-    self->work = dal__aligned(self->work);
-    self->all = (dal_four *)dal__aligned(all);
-    self->before = (dal_four *)dal__aligned(before);
-    self->Y = (dal_four *)dal__aligned(Y);
+    self->all = (dal_four *)all;
+    self->before = (dal_four *)before;
+    self->Y = (dal_four *)Y;
     if (!is_second) self->d2x = NULL;
     *made = self;
     return DAL_SUCCESS;
@@ -390,7 +386,7 @@ static int cross(dal_taylor_variations *self, const dal__piece *piece, size_t i)
     return DAL_SUCCESS;
 }
 
-/* What the piece before leaves to this one. */
+/* Crosses the switches between the piece before and this one. */
 static int follow(dal_taylor_variations *self, const dal__piece *piece)
 {
     int status = DAL_SUCCESS;
@@ -399,8 +395,8 @@ static int follow(dal_taylor_variations *self, const dal__piece *piece)
     return status;
 }
 
-/* What the piece leaves to the next one, from a time on; and the rate of v there, before a jump if
- * there is one. */
+/* Stores the sides, the rates and the acceleration at a time in the piece, for the next one.  At a
+ * jump they are those before it. */
 static void leave(dal_taylor_variations *self, const dal__piece *piece, double t)
 {
     const double s = (t - piece->t) / piece->unit;

@@ -49,7 +49,7 @@ int dal__along_new(dal__along **self, const dal_event *event, const dal_series *
                    dal_error *error)
 {
     const dal_event_series *const of = event->series;
-    const size_t spare = DAL_COEFFICIENTS_SPARE, rows = DAL_SERIES_MOST + 1;
+    const size_t rows = DAL_SERIES_MOST + 1;
     if (of->abi != DAL_SERIES_ABI || of->states != series->states || of->functions != 1)
         return dal__fail(error, DAL_EINVAL, "the series of the event are of number %u, for %zu "
                          "states, of %zu functions: expected number %u, %zu states, 1 function; "
@@ -59,16 +59,14 @@ int dal__along_new(dal__along **self, const dal_event *event, const dal_series *
     dal__along shape = {.event = event, .series = of, .n = n, .width = series->width}, *made;
     arena memory = {0};
     dal__reserve(&memory, &made, 1, sizeof *made);
-    DAL__RESERVE(&memory, shape.width + spare, &shape.y, &shape.low, &shape.change);
+    DAL__RESERVE(&memory, shape.width, &shape.y, &shape.low, &shape.change);
     DAL__RESERVE(&memory, 2 * n, &shape.x);
-    DAL__RESERVE(&memory, rows * shape.width + spare, &shape.about);
-    DAL__RESERVE(&memory, rows * of->width + spare, &shape.coefficients);
-    DAL__RESERVE(&memory, rows * of->room + spare, &shape.work);
+    DAL__RESERVE(&memory, rows * shape.width, &shape.about);
+    DAL__RESERVE(&memory, rows * of->width, &shape.coefficients);
+    DAL__RESERVE(&memory, rows * of->room, &shape.work);
     DAL__RESERVE(&memory, of->switches, &shape.side, &shape.crossed);
     const int status = dal__allocate(&memory, error);
     if (status) return status;
-    double **const blocks[] = {&shape.change, &shape.about, &shape.coefficients, &shape.work};
-    for (size_t i = 0; i < DAL_LENGTH(blocks); i++) *blocks[i] = dal__aligned(*blocks[i]);
     *made = shape;
     made->arena = memory;
     *self = made;
@@ -215,14 +213,8 @@ static double limit(dal__along *self, const dal__piece *piece, double t, double 
 
 static int add(dal__along *self, double t, dal_error *error)
 {
-    if (self->found.count == self->room) {
-        const size_t room = self->room > 0 ? 2 * self->room : 64;
-        double *const larger = realloc(self->t, dal__times(room, sizeof *larger));
-        if (!larger) return dal__fail(error, DAL_ENOMEM, "no memory for %zu events in one step",
-                                      room);
-        self->t = larger;
-        self->room = room;
-    }
+    const int status = dal__grow(&self->t, self->found.count, &self->room, sizeof *self->t, error);
+    if (status) return status;
     self->found.t = self->t;
     self->t[self->found.count++] = t;
     return DAL_SUCCESS;

@@ -19,7 +19,7 @@ void dal__along_free(dal__along *self);
 int dal__along_look(dal__along *self, const dal__piece *piece, double from, double to,
                     double zero, dal__watch *watch, dal_error *error);
 
-/* What has been found, until the next look: the times in the order of the motion, the sign of g at
+/* The results, valid until the next look: the times in the order of the motion, the sign of g at
  * both ends, and a time at which g touches zero, or is too near to tell; or NaN. */
 typedef struct dal__found {
     size_t count;

@@ -27,15 +27,6 @@ double dal__until_rise(const dal__columns *of, size_t column, double units);
 /* A power of 2 next to a positive number. */
 double dal__power_of_2(double x);
 
-/* The first place in a block that is aligned as coefficients are; the block has spare room. */
-enum { DAL_COEFFICIENTS_SPARE = 8 };
-static inline double *dal__aligned(double *block)
-{
-    enum { ALIGNED = DAL_COEFFICIENTS_SPARE * sizeof(double) };
-    const uintptr_t at = (uintptr_t)block;
-    return block + (ALIGNED - at % ALIGNED) % ALIGNED / sizeof(double);
-}
-
 /* The sum of a, its low part and b, with its own low part. */
 static inline double dal__sum_with_low(double a, double *low, double b)
 {

@@ -1,9 +1,9 @@
 /* The pieces of a motion, kept. */
 #include "step/polynomials.h"
 
-#include <stdlib.h>
-
-enum { TIMES = 3 }; /* of a record: t, end, unit; then the low parts and the inputs */
+/* A record has the coefficients, then t, end and unit, then the low parts and the inputs.  The
+ * length of a record is a multiple of ALIGNED, for the vectors. */
+enum { TIMES = 3, ALIGNED = 8 };
 
 static size_t coefficients_of(const dal__piece *piece)
 {
@@ -20,20 +20,19 @@ static const double *times_at(const dal__polynomials *self, size_t k)
     return record_at(self, k) + coefficients_of(&self->shape);
 }
 
-/* Room for one more record. */
+/* Room for one more record; aligned, so the array is made anew where it is full. */
 static int make_room(dal__polynomials *self, dal_error *error)
 {
     if (self->count < self->room) return DAL_SUCCESS;
     const size_t room = self->room > 0 ? 2 * self->room : 64;
-    const size_t size = dal__times(dal__times(room, self->numbers), sizeof *self->block);
-    const size_t spare = DAL_COEFFICIENTS_SPARE * sizeof *self->block;
-    double *const block = size > SIZE_MAX - spare ? NULL : malloc(size + spare);
-    if (!block)
-        return dal__fail(error, DAL_ENOMEM, "no memory for the polynomials of %zu steps", room);
-    double *const records = dal__aligned(block);
+    arena memory = {0};
+    double *records;
+    DAL__RESERVE(&memory, dal__times(room, self->numbers), &records);
+    const int status = dal__allocate(&memory, error);
+    if (status) return status;
     dal__copy(self->count * self->numbers, self->records, records);
-    free(self->block);
-    self->block = block;
+    dal__release(&self->memory);
+    self->memory = memory;
     self->records = records;
     self->room = room;
     return DAL_SUCCESS;
@@ -46,7 +45,7 @@ int dal__polynomials_add(dal__polynomials *self, const dal__piece *piece, dal_er
     if (self->count == 0) {
         const size_t numbers = coefficients + TIMES + width + self->inputs;
         self->shape = *piece;
-        self->numbers = (numbers / DAL_COEFFICIENTS_SPARE + 1) * DAL_COEFFICIENTS_SPARE;
+        self->numbers = (numbers / ALIGNED + 1) * ALIGNED;
     }
     while (self->count > 0
            && direction * (times_at(self, self->count - 1)[0] - piece->t) >= 0.0) self->count--;

@@ -9,7 +9,8 @@ typedef struct dal__polynomials {
     size_t inputs;          /* of the system */
     size_t numbers;         /* of a record */
     size_t count, room;
-    double *block, *records; /* [room*numbers], aligned, in the block */
+    double *records;        /* [room*numbers] */
+    arena memory;
     dal__piece shape;       /* what all pieces have in common, from the first */
 } dal__polynomials;
 

@@ -190,30 +190,25 @@ static int make(void **method, dal_motion *motion, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "series: number %u, expected %u; compile the system "
                          "with this version of series.h", series->abi, DAL_SERIES_ABI);
     if (shape.tolerance < EXACT_BELOW) shape.exact = EXACT;
-    const size_t spare = DAL_COEFFICIENTS_SPARE, rows = shape.order + 1;
+    const size_t rows = shape.order + 1;
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     DAL__RESERVE(&memory, shape.width, &shape.y, &shape.low, &shape.row, &shape.row_low,
                  &shape.from, &shape.from_low, &shape.some, &shape.some_low);
-    DAL__RESERVE(&memory, shape.width + spare, &shape.change, &shape.slope);
+    DAL__RESERVE(&memory, shape.width, &shape.change, &shape.slope);
     DAL__RESERVE(&memory, 2 * def->n, &shape.x);
     DAL__RESERVE(&memory, 5 * def->n, &shape.probe);
     DAL__RESERVE(&memory, def->inputs, &shape.input);
     DAL__RESERVE(&memory, series->switches, &shape.side, &shape.crossed, &shape.none);
-    DAL__RESERVE(&memory, rows * shape.width + spare, &shape.coefficients, &shape.next);
+    DAL__RESERVE(&memory, rows * shape.width, &shape.coefficients, &shape.next);
     const size_t several = series->expand_four ? FOUR : 1;
-    DAL__RESERVE(&memory, several * rows * series->room + spare, &shape.work);
+    DAL__RESERVE(&memory, several * rows * series->room, &shape.work);
     DAL__RESERVE(&memory, save(&shape, NULL), &shape.saved);
     status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;
     self->arena = memory;
     motion->guards->allowed = PER_TOLERANCE * tolerance;
-    self->change = dal__aligned(self->change);
-    self->slope = dal__aligned(self->slope);
-    self->coefficients = dal__aligned(self->coefficients);
-    self->next = dal__aligned(self->next);
-    self->work = dal__aligned(self->work);
     *method = self;
     return DAL_SUCCESS;
 }

@@ -163,66 +163,37 @@ DAL_LU_INLINE void dal_series_deal(double *const *Y, size_t place, const dal_fou
             (dal_four){columns[0][i], columns[1][i], columns[2][i], columns[3][i]};
 }
 
-/* dal_series_middle for up to four of the vectors, whose sums are in registers. */
-DAL_LU_INLINE void dal_series_part(size_t k, size_t vectors, size_t count, const dal_four *A,
-                                   const dal_four *B, dal_four *M)
-{
-    dal_four sum[4] = {{0.0}}, other[4] = {{0.0}};
-    size_t j = k / 2, i = k - j;
-    if (i == j) {
-#pragma GCC unroll 4
-        for (size_t c = 0; c < count; c++) sum[c] = A[j * vectors + c] * B[j * vectors + c];
-        j--, i++;
+/* M[vectors] <- sum_j A_j B_(k-j), j = 1 ... k-1, for A[k*vectors] and B[k*vectors], of a function
+ * whose factors A are vectors, or numbers that all four share.  The sums of up to four vectors are
+ * in registers.  The smallest terms come first in convergent series. */
+#define DAL_SERIES_MIDDLE(name, part, factor) \
+    DAL_LU_INLINE void part(size_t k, size_t vectors, size_t count, const factor *A, \
+                            const dal_four *B, dal_four *M) \
+    { \
+        dal_four sum[4] = {{0.0}}, other[4] = {{0.0}}; \
+        size_t j = k / 2, i = k - j; \
+        if (i == j) { \
+            _Pragma("GCC unroll 4") for (size_t c = 0; c < count; c++) \
+                sum[c] = A[j * vectors + c] * B[j * vectors + c]; \
+            j--, i++; \
+        } \
+        for (; j > 0; j--, i++) { \
+            _Pragma("GCC unroll 4") for (size_t c = 0; c < count; c++) { \
+                sum[c] += A[j * vectors + c] * B[i * vectors + c]; \
+                other[c] += A[i * vectors + c] * B[j * vectors + c]; \
+            } \
+        } \
+        _Pragma("GCC unroll 4") for (size_t c = 0; c < count; c++) M[c] = sum[c] + other[c]; \
+    } \
+    DAL_LU_INLINE void name(size_t k, size_t vectors, const factor *A, const dal_four *B, \
+                            dal_four *M) \
+    { \
+        size_t c = 0; \
+        for (; c + 4 <= vectors; c += 4) part(k, vectors, 4, A + c, B + c, M + c); \
+        if (vectors % 4) part(k, vectors, vectors % 4, A + c, B + c, M + c); \
     }
-    for (; j > 0; j--, i++) { /* the smallest terms come first in convergent series */
-#pragma GCC unroll 4
-        for (size_t c = 0; c < count; c++) {
-            sum[c] += A[j * vectors + c] * B[i * vectors + c];
-            other[c] += A[i * vectors + c] * B[j * vectors + c];
-        }
-    }
-#pragma GCC unroll 4
-    for (size_t c = 0; c < count; c++) M[c] = sum[c] + other[c];
-}
-
-/* M[vectors] <- sum_j A_j B_(k-j), j = 1 ... k-1, for A[k*vectors] and B[k*vectors]. */
-DAL_LU_INLINE void dal_series_middle(size_t k, size_t vectors, const dal_four *A,
-                                     const dal_four *B, dal_four *M)
-{
-    size_t c = 0;
-    for (; c + 4 <= vectors; c += 4) dal_series_part(k, vectors, 4, A + c, B + c, M + c);
-    if (vectors % 4) dal_series_part(k, vectors, vectors % 4, A + c, B + c, M + c);
-}
-
-/* The same with factors A that all four share. */
-DAL_LU_INLINE void dal_series_shared_part(size_t k, size_t vectors, size_t count, const double *A,
-                                          const dal_four *B, dal_four *M)
-{
-    dal_four sum[4] = {{0.0}}, other[4] = {{0.0}};
-    size_t j = k / 2, i = k - j;
-    if (i == j) {
-#pragma GCC unroll 4
-        for (size_t c = 0; c < count; c++) sum[c] = A[j * vectors + c] * B[j * vectors + c];
-        j--, i++;
-    }
-    for (; j > 0; j--, i++) {
-#pragma GCC unroll 4
-        for (size_t c = 0; c < count; c++) {
-            sum[c] += A[j * vectors + c] * B[i * vectors + c];
-            other[c] += A[i * vectors + c] * B[j * vectors + c];
-        }
-    }
-#pragma GCC unroll 4
-    for (size_t c = 0; c < count; c++) M[c] = sum[c] + other[c];
-}
-
-DAL_LU_INLINE void dal_series_shared(size_t k, size_t vectors, const double *A, const dal_four *B,
-                                     dal_four *M)
-{
-    size_t c = 0;
-    for (; c + 4 <= vectors; c += 4) dal_series_shared_part(k, vectors, 4, A + c, B + c, M + c);
-    if (vectors % 4) dal_series_shared_part(k, vectors, vectors % 4, A + c, B + c, M + c);
-}
+DAL_SERIES_MIDDLE(dal_series_middle, dal_series_part, dal_four)
+DAL_SERIES_MIDDLE(dal_series_shared, dal_series_shared_part, double)
 
 DAL_LU_INLINE void dal_series_sum(size_t width, size_t order, double s, const double *Y,
                                   double *change)

@@ -512,9 +512,10 @@ def expansion(made: Program, model: Model, motion: Motion, four: bool) -> None:
         made.lines += [f"    {line}" for line in writer.lines()]
         made.add("}\n")
     made.add(_SUMS.format(width=one.width))
-    _values(made, "velocity", "t, y, u, v, p", motion.velocity, {"y": y, "u": u, "p": p}, time)
+    at_y = {"y": y, "u": u, "p": p}
+    written_values(made, "velocity", "v", motion.velocity, at_y, time)
     x = {"x": [*q, *(read(s) for s in model.v)], "u": u, "p": p}
-    _values(made, "quasi", "t, x, u, w, p", motion.quasi, x, time)
+    written_values(made, "quasi", "w", motion.quasi, x, time)
     sizes = (len(y), len(series.switches), len(series.exponents), one.width,
              8 * one.vectors)  # fmt: skip
     flags = int(motion.in_D), int(series.is_doubtful)
@@ -613,16 +614,20 @@ static void model_slope(size_t order, double s, const double *Y, double *slope)
 """
 
 
-def _values(
-    made: Program, name: str, arguments: str, nodes: Sequence[Node],
+def written_values(
+    made: Program, name: str, out: str, nodes: Sequence[Node],
     arrays: Mapping[str, Sequence[Node]], time: Node,
 ) -> None:  # fmt: skip
-    """Write a function of the time and arrays, which writes nodes to the last array but one."""
-    _, given, _, out, _ = arguments.split(", ")
-    made.add(f"static void model_{name}(double t, const double *{given}, const double *u, "
-             f"double *{out}, const void *parameters)\n{{")  # fmt: skip
+    """Write a function of the time, arrays and parameters p, with the values of nodes in ``out``.
+
+    The arguments are the arrays in their order, but for p, then ``out`` and the parameters.
+    """
+    given = [key for key in arrays if key != "p"]
+    listed = ", ".join(f"const double *{key}" for key in given)
+    made.add(f"static void model_{name}(double t, {listed},\n    double *{out}, "
+             "const void *parameters)\n{")  # fmt: skip
     made.add("    const double *const p = parameters;")
-    made.add(f"    (void)t, (void){given}, (void)u, (void)p;")
+    made.add("    (void)t, (void)p, " + ", ".join(f"(void){key}" for key in (*given, out)) + ";")
     nodes = spelled(nodes)
     where = {x.value: f"{key}[{i}]" for key, x in arrays.items() for i, x in enumerate(x)}
     text = Text(nodes, C, where | {time.value: "t"})

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from .expansion import Writer, places
+from .expansion import Writer, places, written_values
 from .graph import Node, below
 from .model import Model
 from .motion import Motion
-from .printing import C, Program, Text, spelled
+from .printing import Program
 from .recurrences import BRANCHING, Series
 from .symbols import TIME
 
@@ -77,10 +77,12 @@ def variations(made: Program, model: Model, motion: Motion, order: int) -> None:
     made.add("}\n")
     made.add(_LEAD.format(width=writer.width, moving=len(states)))
     velocity = [e for each in at.of_states(motion.velocity) for e in each]
-    _values(made, "velocity_along", "y", velocity, columns, at.y, model)
+    arrays = {"y": at.y, "u": u, "columns": columns, "p": p}
+    written_values(made, "velocity_along", "values", velocity, arrays, time)
     direction = dict(zip([*at.x, *at.z], [*at.at_x, *at.others[0]]))
     quasi = at.graph.along(motion.quasi, direction)
-    _values(made, "quasi_along", "x", quasi, [*at.at_x, *at.others[0]], at.x, model)
+    arrays = {"x": at.x, "u": u, "columns": [*at.at_x, *at.others[0]], "p": p}
+    written_values(made, "quasi_along", "values", quasi, arrays, time)
     sizes = (order, len(at.y), len(p), len(u), len(series.functions), writer.width, room)
     made.add(
         "static const dal_variation_series model_variations = {\n"
@@ -122,26 +124,6 @@ def _series(
 def _difference(e: Node) -> Node:
     """Return the number whose sign chooses the branch of a function."""
     return e.args[0] if len(e.args) == 1 or e.op == "step" else e.args[0] - e.args[1]
-
-
-def _values(
-    made: Program, name: str, given: str, nodes: Sequence[Node], columns: Sequence[Node],
-    at: Sequence[Node], model: Model,
-) -> None:  # fmt: skip
-    """Write a function of the time, numbers and columns that has the values of nodes."""
-    read = model.derived.read
-    made.add(f"static void model_{name}(double t, const double *{given}, const double *u,\n"
-             "    const double *columns, double *values, const void *parameters)\n{")  # fmt: skip
-    made.add("    const double *const p = parameters;")
-    made.add(f"    (void)t, (void){given}, (void)u, (void)columns, (void)values, (void)p;")
-    arrays = {given: at, "columns": columns, "p": [*map(read, model.p)],
-              "u": [*map(read, model.u)]}  # fmt: skip
-    where = {x.value: f"{key}[{i}]" for key, xs in arrays.items() for i, x in enumerate(xs)}
-    nodes = spelled(nodes)
-    text = Text(nodes, C, where | {read(TIME).value: "t"})
-    made.lines += [f"    {line}" for line in text.names(below(nodes), nodes)]
-    made.lines += [f"    values[{i}] = {text.whole(e)};" for i, e in enumerate(nodes)]
-    made.add("}\n")
 
 
 _EXPAND = """static void model_vary(const dal_series_at *at, size_t order, const double *states,
